@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -316,7 +316,8 @@ def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
             "there is no built-in protocol and no file of this name",
             f"{suggestion(str(path), BUILT_IN)} Or give the path of a TOML file.",
         )
-    return _File(path).protocol(read_tables(path))
+    tables = read_tables(path)
+    return _protocol(tables.name or path.stem, _rows(path, tables))
 
 
 def trial_name(flexion_deg: float, loads: Sequence[float]) -> str:
@@ -386,70 +387,53 @@ def selected_rows(indices: ArrayLike, n: int) -> list[int]:
     return chosen
 
 
-class _File:
-    """A protocol's file made into trials; knows its path for the messages."""
+def _check(file: Path, place: str, **values: float | list[float]) -> None:
+    for column, given in values.items():
+        for value in given if isinstance(given, list) else [given]:
+            if fault := range_fault(column, value):
+                raise InputError(file, place, *fault)
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
 
-    def protocol(self, tables: ProtocolTables) -> Protocol:
-        rows: dict[str, tuple[float, ...]] = {}
-        for block, ramp in enumerate(tables.ramps, 1):
-            rows.update(self._ramp(f"[[ramps]] block {block}", ramp))
-        for block, trial in enumerate(tables.trials, 1):
-            place = f"[[trials]] block {block}"
-            name, row = self._trial(place, trial)
-            if name in rows:
-                self._refuse(place, f"the trial {name!r} is there already", "Give it another name.")
-            rows[name] = row
-        if not rows:
-            self._refuse("", "there is no trial", "Add a [[ramps]] or [[trials]] block.")
-        return _protocol(tables.name or self._path.stem, rows)
-
-    def _ramp(self, place: str, ramp: Ramp) -> dict[str, tuple[float, ...]]:
+def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[float, ...]]:
+    """Flexion and loads of each trial of a file, by its name."""
+    rows: dict[str, tuple[float, ...]] = {}
+    for block, ramp in enumerate(tables.ramps, 1):
+        place = f"[[ramps]] block {block}"
         n = len(ramp.flexion_deg) * len(ramp.values)
         if n > MOST_TRIALS:
             why = f"it makes {n} trials, more than {MOST_TRIALS}"
-            self._refuse(place, why, "Give fewer angles or values.")
+            raise InputError(file, place, why, "Give fewer angles or values.")
         held = ramp.held.model_dump(exclude={ramp.load})
         if ramp.load in ramp.held.model_fields_set:
             why = f"{ramp.load} is the load that varies and held as well"
-            self._refuse(f"{place}, held", why, "Leave it out.")
-        self._check(f"{place}, held", **held)
-        self._check(f"{place}, {FLEXION}", **{FLEXION: ramp.flexion_deg})
-        self._check(f"{place}, values", **{ramp.load: ramp.values})
-        rows = {}
+            raise InputError(file, f"{place}, held", why, "Leave it out.")
+        _check(file, f"{place}, held", **held)
+        _check(file, f"{place}, {FLEXION}", **{FLEXION: ramp.flexion_deg})
+        _check(file, f"{place}, values", **{ramp.load: ramp.values})
         for flexion in ramp.flexion_deg:
             for value in ramp.values:
                 loads = tuple({**held, ramp.load: value}[x] for x in LOADS)
                 rows[trial_name(flexion, loads)] = (flexion, *loads)
-        return rows
-
-    def _trial(self, place: str, trial: Trial) -> tuple[str, tuple[float, ...]]:
-        angles = trial.flexion_deg
+    for block, trial in enumerate(tables.trials, 1):
+        place, angles = f"[[trials]] block {block}", trial.flexion_deg
         if len(angles) != 1:
-            self._refuse(
-                f"{place}, {FLEXION}",
-                f"a trial has one angle, not {len(angles)}",
-                "Write a block for each angle, or a [[ramps]] block.",
-            )
-        self._check(f"{place}, {FLEXION}", **{FLEXION: angles})
+            why = f"a trial has one angle, not {len(angles)}"
+            remedy = "Write a block for each angle, or a [[ramps]] block."
+            raise InputError(file, f"{place}, {FLEXION}", why, remedy)
+        _check(file, f"{place}, {FLEXION}", **{FLEXION: angles})
         loads = tuple(float(getattr(trial, x)) for x in LOADS)
         for column, value in zip(LOADS, loads, strict=True):
-            self._check(f"{place}, {column}", **{column: value})
+            _check(file, f"{place}, {column}", **{column: value})
         name = trial_name(angles[0], loads) if trial.name is None else trial.name
         if fault := name_fault(name):
-            self._refuse(f"{place}, name", *fault)
-        return name, (angles[0], *loads)
-
-    def _check(self, place: str, **values: float | list[float]) -> None:
-        for column, given in values.items():
-            for value in given if isinstance(given, list) else [given]:
-                if fault := range_fault(column, value):
-                    self._refuse(place, *fault)
-
-    def _refuse(self, place: str, why: str, remedy: str) -> NoReturn:
-        raise InputError(self._path, place, why, remedy)
+            raise InputError(file, f"{place}, name", *fault)
+        if name in rows:
+            why = f"the trial {name!r} is there already"
+            raise InputError(file, place, why, "Give it another name.")
+        rows[name] = (angles[0], *loads)
+    if not rows:
+        raise InputError(file, "", "there is no trial", "Add a [[ramps]] or [[trials]] block.")
+    return rows
 
 
 def _protocol(name: str, rows: Mapping[str, tuple[float, ...]]) -> Protocol:

@@ -581,8 +581,13 @@ def add_noise(
     sd[:, TRANSLATIONS], sd[:, ROTATIONS] = sd_mm, sd_deg
     shared = np.full((n_coordinates, n_coordinates), correlation)
     np.fill_diagonal(shared, 1.0)
+    generator = np.random.default_rng(seed)
+    if student_degrees is None:
+        draws = generator.standard_normal(sd.shape)
+    else:
+        scale = np.sqrt((student_degrees - 2) / student_degrees)
+        draws = scale * generator.standard_t(student_degrees, sd.shape)
     # Fixed loops instead of a matrix product, whose last bit depends on the machine's library.
-    draws = _standard_draws(np.random.default_rng(seed), sd.shape, student_degrees)
     errors = np.einsum("ij,nj->ni", np.linalg.cholesky(shared), draws)
     return replace(
         laxity,
@@ -590,16 +595,6 @@ def add_noise(
         sd=sd,
         within_trial_correlation=correlation,
     )
-
-
-def _standard_draws(
-    generator: np.random.Generator, shape: tuple[int, int], student_degrees: float | None
-) -> Array:
-    """Independent draws of mean 0 and variance 1."""
-    if student_degrees is None:
-        return generator.standard_normal(shape)
-    scale = np.sqrt((student_degrees - 2) / student_degrees)
-    return np.asarray(scale * generator.standard_t(student_degrees, shape))
 
 
 _TABLE_FILES = (".csv", *OPENSIM)

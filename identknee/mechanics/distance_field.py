@@ -1,7 +1,7 @@
 """A signed distance to the femur as a cubic spline on a grid, and the pressure at a depth."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -119,10 +119,6 @@ class DistanceField:
             grid=grid,
         )
         return read_only(arrays)
-
-    def in_femoral_frame(self, turn: Array, shift: Array) -> "DistanceField":
-        """The same field under poses of another femoral frame, given by its axes and origin."""
-        return replace(self, turn=turn, shift=shift)
 
     def to_field(self, places: Array) -> Array:
         """Places (n, 3) of the femoral frame of poses in the field's [mm]."""

@@ -207,14 +207,12 @@ class _Search:
             n_restored=n_restored,
         )
 
-    def is_within(self, shifts: Array) -> bool:
-        return bool(np.all(np.linalg.norm(shifts, axis=2) <= self._within * (1.0 + 1e-9)))
-
     def better(self, shifts: Array, score: Score) -> tuple[Array, Score] | None:
         """The shifts after the step that gains most; None where none gains."""
         for size in STEPS:
-            steps = self.steps(size * self._within)
-            tried = [x for x in (shifts + step for step in steps) if self.is_within(x)]
+            tried = [shifts + step for step in self.steps(size * self._within)]
+            farthest = self._within * (1.0 + 1e-9)
+            tried = [x for x in tried if np.all(np.linalg.norm(x, axis=2) <= farthest)]
             found = self.scores(tried)
             best = max(range(len(tried)), key=lambda k: found[k])
             if found[best] > score:

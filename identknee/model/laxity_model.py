@@ -37,11 +37,11 @@ from identknee.model.mechanics_inputs import (
     PER_KN,
     PER_PCT,
     MechanicsInputs,
+    fallback_poses,
     known_poses,
+    measured_poses,
     poses_between,
     poses_of_measured_trials,
-    poses_of_tests,
-    same_poses,
 )
 from identknee.model.nuisances import StoredWithKnee, stored_effects
 from identknee.model.parameters import Parameters, ligament_parameters
@@ -458,11 +458,15 @@ class LaxityModel:
         model = self.with_protocol(laxity.protocol)
         poses = fallback = None
         if self.continuation == "continuation":
-            poses, fallback = poses_of_tests(self.knee, laxity)
+            poses = measured_poses(laxity)
+            poses = known_poses(self.knee, laxity.protocol) if poses is None else poses
+            fallback = fallback_poses(self.knee, laxity) if poses is None else None
         is_known = model.order is laxity.order and model.phase is laxity.phase
-        if (is_known or not self.effects) and same_poses(
-            (model.poses, model.fallback_poses), (poses, fallback)
-        ):
+        is_same = all(
+            x is y if x is None or y is None else np.array_equal(x, y, equal_nan=True)
+            for x, y in ((model.poses, poses), (model.fallback_poses, fallback))
+        )
+        if (is_known or not self.effects) and is_same:
             return model
         return replace(
             model, order=laxity.order, phase=laxity.phase, poses=poses, fallback_poses=fallback

@@ -39,7 +39,7 @@ class MeasuredFrames:
 
     def field(self, field: DistanceField) -> DistanceField:
         """The femur's distance, for poses of its measured frame."""
-        return field.in_femoral_frame(self.turns[0], self.shifts[0])
+        return replace(field, turn=self.turns[0], shift=self.shifts[0])
 
     def pose(self, flexion: float, pose: Array) -> Array:
         """The pose (5,) between these frames where that between those of the geometry is given."""
@@ -301,25 +301,6 @@ def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     if not knee.poses:
         return None
     return pose_from_coordinates(pose_at(knee.poses, protocol.flexion_deg))
-
-
-def poses_of_tests(knee: Knee, laxity: Laxity) -> tuple[Array | None, Array | None]:
-    """Start poses of measured trials, and fallback poses for paths without an equilibrium.
-
-    First the measured poses, or those that the knee is known to take; None without both. Then
-    `fallback_poses`, where that is so.
-    """
-    poses = measured_poses(laxity)
-    poses = known_poses(knee, laxity.protocol) if poses is None else poses
-    return poses, fallback_poses(knee, laxity) if poses is None else None
-
-
-def same_poses(some: Sequence[Array | None], others: Sequence[Array | None]) -> bool:
-    """Whether poses are equal one by one; NaN equals NaN."""
-    return all(
-        x is y if x is None or y is None else np.array_equal(x, y, equal_nan=True)
-        for x, y in zip(some, others, strict=True)
-    )
 
 
 def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:

@@ -297,30 +297,6 @@ def contact_rounding(knee: Knee) -> float:
     return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm
 
 
-def fixed_errors(knee: Knee) -> tuple[Effect, ...]:
-    """Stored errors of the knee that are not stated as uncertain, fixed at their sizes.
-
-    Raises
-    ------
-    ValueError
-        If a stored error has no such part.
-    """
-    stated = {x.name for x in nuisances_of(knee)}
-    made = []
-    for choice in knee.effects:
-        if choice.name in stated or choice.name not in _ERRORS:
-            continue
-        parts, make = _ERRORS[choice.name]
-        # At any spread: it does not count.
-        effect = make(*[1.0] * len(parts))
-        sizes = dict.fromkeys(effect.parameters.names, 0.0)
-        for name, value in choice.values.items():
-            effect.parameters.index(f"{choice.name}.{name}")
-            sizes[f"{choice.name}.{name}"] = value
-        made.append(with_fixed_amplitudes(effect, sizes))
-    return tuple(made)
-
-
 class StoredWithKnee(tuple[Effect, ...]):
     """Default argument: the effects and nuisances stored with the knee."""
 
@@ -332,8 +308,27 @@ def stored_effects(knee: Knee) -> tuple[Effect, ...]:
 
     An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
     knee states none.
+
+    Raises
+    ------
+    ValueError
+        If a stored error has no such part.
     """
-    errors = (*fixed_errors(knee), *nuisances_of(knee))
+    stated = nuisances_of(knee)
+    names = {x.name for x in stated}
+    held = []
+    for choice in knee.effects:
+        if choice.name in names or choice.name not in _ERRORS:
+            continue
+        parts, make = _ERRORS[choice.name]
+        # At any spread: it does not count.
+        effect = make(*[1.0] * len(parts))
+        sizes = dict.fromkeys(effect.parameters.names, 0.0)
+        for name, value in choice.values.items():
+            effect.parameters.index(f"{choice.name}.{name}")
+            sizes[f"{choice.name}.{name}"] = value
+        held.append(with_fixed_amplitudes(effect, sizes))
+    errors = (*held, *stated)
     names = {x.name for x in errors}
     if any(x.name in names for x in knee.effects):
         knee = knee.with_effects([x for x in knee.effects if x.name not in names])

@@ -19,7 +19,6 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, short_repr
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import whitening
-from identknee.subject.knee import Knee
 from identknee.subject.uncertainty import Uncertainty
 
 Weighting = Literal["unit", "noise"]
@@ -345,8 +344,8 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
         Prior standard deviation of each, shape ``(k,)``.
     """
     rough = surface_changes(model, model.predict_once(theta), ROUGHNESS_LENGTH)
-    heights = np.full(rough.shape[2], surface_roughness(model.knee))
-    changes, spreads = [rough], [heights]
+    height = MESH_ROUGHNESS if model.knee.femur_distance is None else FORMULA_ROUGHNESS
+    changes, spreads = [rough], [np.full(rough.shape[2], height)]
     toe = toe_strain()
     if toe.name not in {x.name for x in model.effects}:
         found = model.with_effects([*model.effects, toe]).predict(np.r_[theta, 0.0])
@@ -359,11 +358,6 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
         changes.append(shared)
         spreads.append(np.ones(shared.shape[2]))
     return np.concatenate(changes, axis=2), np.concatenate(spreads)
-
-
-def surface_roughness(knee: Knee) -> float:
-    """How far the surfaces of a model are from those of the knee [mm], bump by bump."""
-    return MESH_ROUGHNESS if knee.femur_distance is None else FORMULA_ROUGHNESS
 
 
 def has_shared_errors(uncertainty: Uncertainty) -> bool:

@@ -117,22 +117,18 @@ def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
 
 
 def _metres(knee: Knee) -> Iterator[GeometryFinding]:
-    for name, surface in _surfaces(knee):
-        size = extent(surface)
-        if size < METRES:
-            sentence = f"The surface is only {size:.3g} mm across; lengths are in mm."
-            yield geometry_finding("in-metres", name, sentence, {"size_mm": size})
-    for ligament in knee.ligaments:
-        size = ligament.length
-        if size < METRES:
-            sentence = f"It is only {size:.3g} mm long; lengths are in mm."
-            yield geometry_finding("in-metres", _of(ligament), sentence, {"size_mm": size})
     apart = [
         float(np.linalg.norm(a.position - b.position)) for a, b in combinations(knee.landmarks, 2)
     ]
-    if apart and max(apart) < LEG_IN_METRES:
-        sentence = f"They are at most {max(apart):.3g} mm apart; lengths are in mm."
-        yield geometry_finding("in-metres", "landmarks", sentence, {"size_mm": max(apart)})
+    sizes = [
+        *((x, extent(y), METRES, "The surface is only {} mm across") for x, y in _surfaces(knee)),
+        *((_of(x), x.length, METRES, "It is only {} mm long") for x in knee.ligaments),
+        ("landmarks", max(apart, default=np.inf), LEG_IN_METRES, "They are at most {} mm apart"),
+    ]
+    for where, size, least, words in sizes:
+        if size < least:
+            sentence = f"{words.format(f'{size:.3g}')}; lengths are in mm."
+            yield geometry_finding("in-metres", where, sentence, {"size_mm": size})
 
 
 def _of(ligament: Ligament) -> str:
@@ -226,18 +222,24 @@ def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
         sentence = "The surface is closed: it has a bone side as well."
         yield geometry_finding("surface-closed", name, sentence)
-    if n := count_inconsistent_edges(surface):
-        sentence = f"At {n} edges neighbouring triangles face opposite ways."
-        yield geometry_finding("winding-inconsistent", name, sentence, {"n": n})
-    if n := count_shared_edges(surface):
-        sentence = f"{n} edges belong to more than two triangles."
-        yield geometry_finding("edges-shared", name, sentence, {"n": n})
-    if n := count_near_duplicates(surface, NEAR_DUPLICATE):
-        sentence = f"{n} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but not the same."
-        yield geometry_finding("vertices-near-duplicate", name, sentence, {"n": n})
-    if n := count_slivers(surface, SLIVER):
-        sentence = f"{n} triangles are degenerate: they have hardly any area."
-        yield geometry_finding("triangles-degenerate", name, sentence, {"n": n})
+    counted = (
+        ("winding-inconsistent", count_inconsistent_edges(surface)),
+        ("edges-shared", count_shared_edges(surface)),
+        ("vertices-near-duplicate", count_near_duplicates(surface, NEAR_DUPLICATE)),
+        ("triangles-degenerate", count_slivers(surface, SLIVER)),
+    )
+    for code, n in counted:
+        if n:
+            yield geometry_finding(code, name, _COUNTED[code].format(n), {"n": n})
+
+
+_COUNTED = {
+    "winding-inconsistent": "At {} edges neighbouring triangles face opposite ways.",
+    "edges-shared": "{} edges belong to more than two triangles.",
+    "vertices-near-duplicate": f"{{}} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but "
+    "not the same.",
+    "triangles-degenerate": "{} triangles are degenerate: they have hardly any area.",
+}
 
 
 def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:

@@ -219,13 +219,8 @@ class Ligament:
 
     def mirrored(self) -> "Ligament":
         """A copy seen in the mirror z = 0."""
-        return Ligament(
-            name=self.name,
-            femur=self.femur * [1.0, 1.0, -1.0],
-            tibia=self.tibia * [1.0, 1.0, -1.0],
-            stiffness_kN=self.stiffness_kN,
-            reference_strain_pct=self.reference_strain_pct,
-        )
+        mirror = np.array([1.0, 1.0, -1.0])
+        return replace(self, femur=self.femur * mirror, tibia=self.tibia * mirror)
 
 
 LEAST = 2
@@ -376,23 +371,18 @@ class EffectChoice:
         # A copy rather than a view that cannot be changed: that could not go to other processes.
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "fixed", tuple(self.fixed))
-        object.__setattr__(self, "lines", tuple(self._checked(line) for line in self.lines))
+        # A line of a structure obeys the rules of a ligament's.
+        unloaded = {"stiffness_kN": 0.0, "reference_strain_pct": 0.0}
+        like = [
+            Ligament(name=f"a line of {self.name}", femur=femur, tibia=tibia, **unloaded)
+            for femur, tibia in self.lines
+        ]
+        object.__setattr__(self, "lines", tuple((x.femur, x.tibia) for x in like))
 
     def mirrored(self) -> "EffectChoice":
         """A copy seen in the mirror z = 0; amplitudes are those of a right knee on either side."""
         mirror = np.array([1.0, 1.0, -1.0])
         return replace(self, lines=tuple((x * mirror, y * mirror) for x, y in self.lines))
-
-    def _checked(self, line: Points) -> Points:
-        # A line of a structure obeys the rules of a ligament's.
-        like = Ligament(
-            name=f"a line of {self.name}",
-            femur=line[0],
-            tibia=line[1],
-            stiffness_kN=0.0,
-            reference_strain_pct=0.0,
-        )
-        return like.femur, like.tibia
 
 
 # Coordinates of a laxity table: lateral shift, anterior drawer, distraction, varus, internal.

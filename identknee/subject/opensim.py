@@ -336,7 +336,7 @@ def bones_of(model: OsimModel) -> Bones:
     InputError
         If there is no such knee, or more than one.
     """
-    carriers = {body_of(model, x) for x in contact_meshes(model)}
+    carriers = {model.placed(x.findtext("socket_frame", ""))[0] for x in contact_meshes(model)}
     femora = sorted(x for x in carriers if "femur" in x.lower())
     tibiae = sorted(x for x in carriers if "tibia" in x.lower())
     for bone, found in (("femur", femora), ("tibia", tibiae)):
@@ -379,11 +379,6 @@ def _side(model: OsimModel, *names: str) -> Side:
         f"neither of {', '.join(names)} says which side it is of",
         "Let the name of the femur end with _r or _l.",
     )
-
-
-def body_of(model: OsimModel, mesh: Element) -> str:
-    """Body that a contact mesh is fixed to."""
-    return model.placed(mesh.findtext("socket_frame", ""))[0]
 
 
 LIGAMENT_CLASS = "Blankevoort1991Ligament"

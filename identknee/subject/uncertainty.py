@@ -206,26 +206,19 @@ def _one(text: str) -> dict[str, float]:
             "--uncertain insertions=2mm,registration=2deg"
         )
     unit = found[2]
-    names = [f"{name}_{unit}"] if unit in ("mm", "deg") else [name]
+    whole = f"{name}_{unit}" if unit in ("mm", "deg") else name
     known = [x.name for x in fields(Uncertainty)]
-    if names[0] not in known:
-        raise ValueError(f"--uncertain {text}: {_refusal(name, found[1])}")
-    return {names[0]: number / 100.0 if unit == "%" else number}
-
-
-def _refusal(name: str, number: str) -> str:
-    """Why a name with that unit is not known."""
-    units = [
-        known.removeprefix(f"{name}_")
-        for known in (x.name for x in fields(Uncertainty))
-        if known.startswith(f"{name}_") and known.removeprefix(f"{name}_") in ("mm", "deg")
-    ]
+    if whole in known:
+        return {whole: number / 100.0 if unit == "%" else number}
+    units = [x.rpartition("_")[2] for x in known if x in (f"{name}_mm", f"{name}_deg")]
     if units:
-        written = " or ".join(f"{name}={number}{unit}" for unit in units)
-        return f"{name} is stated in {' or '.join(units)}; write {written}"
-    if name in (x.name for x in fields(Uncertainty)):
-        return f"{name} has no unit; write {name}=0.1 or {name}=10%"
-    return f"there is no such part. {_known(name)}"
+        written = " or ".join(f"{name}={found[1]}{x}" for x in units)
+        why = f"{name} is stated in {' or '.join(units)}; write {written}"
+    elif name in known:
+        why = f"{name} has no unit; write {name}=0.1 or {name}=10%"
+    else:
+        why = f"there is no such part. {_known(name)}"
+    raise ValueError(f"--uncertain {text}: {why}")
 
 
 def _known(name: str) -> str:

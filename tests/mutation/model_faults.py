@@ -472,7 +472,7 @@ MECHANICS = (
     ),
     fault(
         "identknee/laxity/table.py",
-        "_standard_draws",
+        "add_noise",
         "scale = np.sqrt((student_degrees - 2) / student_degrees)",
         "scale = 1.0",
         "heavy-tailed noise is larger than stated",
