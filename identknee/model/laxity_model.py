@@ -48,8 +48,7 @@ from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import StatedPrior
+from identknee.subject.knee import Knee, StatedPrior
 
 
 def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Parameters:
@@ -561,13 +560,8 @@ class LaxityModel:
     @property
     def tests(self) -> TrialRecord:
         """The trials as they were made, with order and phase."""
-        x = self.protocol
-        return TrialRecord(
-            flexion_deg=x.flexion_deg,
-            loads=x.loads,
-            order=self.order,
-            phase=self.phase,
-        )
+        flexion_deg, loads = self.protocol.flexion_deg, self.protocol.loads
+        return TrialRecord(flexion_deg=flexion_deg, loads=loads, order=self.order, phase=self.phase)
 
     def predict_once(self, theta: Array) -> Prediction:
         """The prediction at theta with its Jacobian, cached for the last theta.

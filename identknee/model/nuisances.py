@@ -25,8 +25,7 @@ from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placeme
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import BONES
+from identknee.subject.knee import BONES, Knee
 
 # Standard deviations within which an amplitude lies.
 REACH = 4.0
@@ -270,7 +269,7 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     Examples
     --------
     >>> from identknee.subject.reference import reference_knee
-    >>> from identknee.subject.uncertainty import Uncertainty
+    >>> from identknee.subject.knee import Uncertainty
     >>> knee = reference_knee().with_uncertainty(Uncertainty(load_gain=0.03))
     >>> [x.name for x in nuisances_of(knee)]
     ['load_gain']

@@ -19,7 +19,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, short_repr
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import whitening
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 
 Weighting = Literal["unit", "noise"]
 

@@ -102,9 +102,8 @@ def array(
     along it; an axis named by a number has that length. Where the default is None the array may be
     missing.
     """
-    known = {"is_in_json": False, "is_in_arrays": True, **where}
-    metadata = {ENTRY: Entry(meaning=meaning, unit=unit, dims=dims, dtype=dtype, **known)}
-    return field(default=default, metadata=metadata)
+    known = {"dims": dims, "dtype": dtype, "is_in_json": False, "is_in_arrays": True, **where}
+    return entry(meaning, unit=unit, default=default, **known)
 
 
 def derived(meaning: str, **where: Any) -> Callable[[Getter], Getter]:

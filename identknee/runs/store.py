@@ -4,11 +4,12 @@ import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
+
+from typing_extensions import override
 
 from identknee.runs.errors import InputError
 from identknee.runs.executors import Executor, WorkerTerminated, serial
@@ -43,7 +44,7 @@ _EXPLANATIONS = {
 }
 
 
-class Store:
+class Store(AbstractContextManager["Store"]):
     """A table from keys to JSON values in one SQLite file that outlives a crash.
 
     Each `put_many` is one transaction: after a kill or a power cut the file holds all of a batch or
@@ -139,15 +140,8 @@ class Store:
         """Close the file; what was put is on disk already."""
         self._connection.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    @override
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @contextmanager
@@ -311,7 +305,7 @@ def json_round_trip(value: Any) -> Any:
     return json.loads(json.dumps(plain(value, keep_nonfinite=True)))
 
 
-class _Commits:
+class _Commits(AbstractContextManager["_Commits"]):
     """Puts results into a store about once a second, and the rest on leaving, come what may."""
 
     def __init__(self, store: Store | None) -> None:
@@ -319,9 +313,7 @@ class _Commits:
         self._waiting: dict[str, Any] = {}
         self._last = time.monotonic()
 
-    def __enter__(self) -> "_Commits":
-        return self
-
+    @override
     def __exit__(self, *_: object) -> None:
         self._commit()
 

@@ -36,11 +36,12 @@ from identknee.subject.knee import (
     Landmark,
     Ligament,
     LigamentGroup,
+    StatedPrior,
+    Uncertainty,
     frames_from_landmarks,
 )
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import read_surface, write_surface
-from identknee.subject.uncertainty import StatedPrior, Uncertainty
 
 FORMAT = 1
 

@@ -11,8 +11,7 @@ from identknee.model.laxity_model import tied
 from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.subject.knee import EffectChoice, Knee
-from identknee.subject.uncertainty import with_stated_uncertainty
+from identknee.subject.knee import EffectChoice, Knee, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import knee_digest
 

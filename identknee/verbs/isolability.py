@@ -12,7 +12,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
-from identknee.subject.uncertainty import UncertainLike
+from identknee.subject.knee import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnose import diagnose_data
 from identknee.verbs.diagnosis import Diagnosis

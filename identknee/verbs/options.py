@@ -16,8 +16,7 @@ from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs import executors as workers
 from identknee.runs.files import PathLike
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
+from identknee.subject.knee import Knee, UncertainLike
 from identknee.verbs.values import BoundsLike, NoiseLike
 
 SubjectLike = Knee | PathLike

@@ -626,7 +626,7 @@ NUISANCES = (
         "tests/unit/calibrate/test_least_squares.py",
     ),
     fault(
-        "identknee/subject/uncertainty.py",
+        "identknee/subject/knee.py",
         "_one",
         "number / 100.0 if unit == '%' else number",
         "number",

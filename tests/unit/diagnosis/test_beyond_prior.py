@@ -13,9 +13,8 @@ from identknee.model.effects.insertion import moved_insertion
 from identknee.model.effects.loads import compression
 from identknee.model.effects.readings import tibia_frame
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.diagnose import diagnosis_of
 
 STATED = Uncertainty(insertions_mm=0.5)

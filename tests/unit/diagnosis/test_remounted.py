@@ -12,8 +12,8 @@ from identknee.model.effects import effect as effects
 from identknee.model.effects.loads import compression
 from identknee.model.effects.readings import remounting, tibia_frame
 from identknee.model.laxity_model import LaxityModel
+from identknee.subject.knee import Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.diagnose import diagnosis_of
 
 SIZE = 0.5

@@ -11,8 +11,8 @@ from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.effects.readings import tibia_frame
 from identknee.model.laxity_model import LaxityModel
+from identknee.subject.knee import Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 
 TWO_MM = Uncertainty(insertions_mm=2.0)
 

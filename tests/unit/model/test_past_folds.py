@@ -9,8 +9,7 @@ import identknee as ik
 from identknee.laxity.table import Laxity
 from identknee.mechanics.equilibria import NEAR
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Knee, Uncertainty
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,7 @@ from identknee.model.mechanics_inputs import frames_at
 from identknee.model.nuisances import contact_rounding, insertions, nuisances_of
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Frame, Knee
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Frame, Knee, Uncertainty
 
 EVERYTHING = Uncertainty(
     insertions_mm=2.0,
