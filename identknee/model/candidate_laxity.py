@@ -1,7 +1,7 @@
 """Candidate laxity trials, as predicted by the model of the knee."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
@@ -49,26 +50,12 @@ def continued_from_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     return model
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CandidateLaxity:
     """Candidate trials, measured like those of the data.
 
     A trial that is added has the coordinates that the data have, counted from the same zero, with
     the errors `sd` and the correlation within a trial that the data state.
-
-    Attributes
-    ----------
-    model
-        The model of the data.
-    laxity
-        The data.
-    protocol
-        The trials to choose from.
-    sd
-        Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; NaN for
-        those that would not be measured. See `typical_errors`.
-    free
-        The parameters of the model that vary, and the values of the others.
 
     Raises
     ------
@@ -76,11 +63,16 @@ class CandidateLaxity:
         If no coordinate would be measured, or a standard deviation is not positive.
     """
 
-    model: LaxityModel
-    laxity: Laxity
-    protocol: Protocol
-    sd: Array
-    free: FreeParameters
+    model: LaxityModel = entry("The model of the data")
+    laxity: Laxity = entry("The data")
+    protocol: Protocol = entry("The trials to choose from")
+    sd: Array = entry(
+        "Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; "
+        "NaN for those that would not be measured. See `typical_errors`"
+    )
+    free: FreeParameters = entry(
+        "The parameters of the model that vary, and the values of the others"
+    )
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -1,7 +1,6 @@
 """What a result says against itself: every kind of finding, and findings of these kinds."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import Enum, unique
 from typing import Any, TypeVar
 
@@ -44,43 +43,36 @@ class About(Enum):
     EARLIER = "Stored by an earlier version"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class FindingKind:
-    """What all findings of one code have in common.
+    """What all findings of one code have in common."""
 
-    Attributes
-    ----------
-    code
-        Stable identifier, written to ``result.json``.
-    severity
-        Severity unless the check states another one.
-    about
-        What findings of this kind are about: a heading of the list of codes.
-    meaning, remedy
-        What was found, and what to do about it, as sentences; no remedy where nothing is to be
-        done.
-    template
-        The sentence, to be filled from the values; empty where the check writes it.
-    lead
-        What precedes the template, which then has no full stop: on a page all findings with this
-        lead become one sentence.
-    distinct
-        Values that tell findings of this code about one place apart; of findings that agree in them
-        a report shows one.
-    invalidates
-        Whether nothing could be computed, or nothing computed holds. A command that finds it
-        writes its results and exits with 1.
-    """
-
-    code: str
-    severity: Severity
-    about: About
-    meaning: str
-    remedy: str = ""
-    template: str = ""
-    lead: str = ""
-    distinct: tuple[str, ...] = ()
-    invalidates: bool = False
+    code: str = entry("Stable identifier, written to ``result.json``")
+    severity: Severity = entry("Severity unless the check states another one")
+    about: About = entry("What findings of this kind are about: a heading of the list of codes")
+    meaning: str = entry("What was found, as a sentence")
+    remedy: str = entry(
+        "What to do about it, as a sentence; none where nothing is to be done", default=""
+    )
+    template: str = entry(
+        "The sentence, to be filled from the values; empty where the check writes it",
+        default="",
+    )
+    lead: str = entry(
+        "What precedes the template, which then has no full stop: on a page all findings with"
+        " this lead become one sentence",
+        default="",
+    )
+    distinct: tuple[str, ...] = entry(
+        "Values that tell findings of this code about one place apart; of findings that agree"
+        " in them a report shows one",
+        default=(),
+    )
+    invalidates: bool = entry(
+        "Whether nothing could be computed, or nothing computed holds. A command that finds "
+        "it writes its results and exits with 1",
+        default=False,
+    )
 
     def sentence(self, *details: str) -> str:
         """The lead with the filled templates of one or several findings."""

@@ -26,7 +26,7 @@ References
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -255,26 +255,22 @@ LEAST_SHARE = 0.01
 CENTRAL = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Place:
-    """What a line of action is near to; shares sum to 1 but for those left out, largest first.
+    """What a line of action is near to; shares sum to 1 but for those left out, largest first."""
 
-    Attributes
-    ----------
-    shares
-        Names of structures and of the subject's own lines; ``"elsewhere"`` is what none of them
-        takes.
-    sides
-        Where the line crosses the level of the joint line: ``"medial"``, ``"central"`` or
-        ``"lateral"``.
-    thirds
-        Which third of the plateaus' length it crosses: ``"anterior"``, ``"middle"`` or
-        ``"posterior"``.
-    """
-
-    shares: tuple[tuple[str, float], ...]
-    sides: tuple[tuple[PlaceSide, float], ...]
-    thirds: tuple[tuple[Third, float], ...]
+    shares: tuple[tuple[str, float], ...] = entry(
+        'Names of structures and of the subject\'s own lines; ``"elsewhere"`` is what none of '
+        "them takes"
+    )
+    sides: tuple[tuple[PlaceSide, float], ...] = entry(
+        'Where the line crosses the level of the joint line: ``"medial"``, ``"central"`` or '
+        '``"lateral"``'
+    )
+    thirds: tuple[tuple[Third, float], ...] = entry(
+        'Which third of the plateaus\' length it crosses: ``"anterior"``, ``"middle"`` or '
+        '``"posterior"``'
+    )
 
     @property
     def sentence(self) -> str:

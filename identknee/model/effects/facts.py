@@ -20,9 +20,10 @@ References
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
+
+from identknee.runs.declare import declared, entry
 
 Slot = Literal["force", "load", "observation", "parameter", "history"]
 MISSING_LINE, REMOUNTING = "missing_line", "remounting"
@@ -30,36 +31,26 @@ MISSING_LINE, REMOUNTING = "missing_line", "remounting"
 NOT_OFFERED = (MISSING_LINE, REMOUNTING)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class EffectFacts:
-    """Label, meaning, size and source of a cause.
+    """Label, meaning, size and source of a cause."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    label
-        What prose calls it.
-    slot
-        Where it acts: on the forces in the knee, its loads, what is read, the parameters of what
-        the model has already, or by when a trial was made.
-    sentence
-        What it is.
-    source
-        Source of its plausible size.
-    relevant
-        The smallest amplitude worth knowing, in the unit of the effect's first parameter.
-    is_numerical
-        Whether it stands for what a computation gets wrong of any knee: allowed for, never a cause.
-    """
-
-    name: str
-    label: str
-    slot: Slot
-    sentence: str
-    source: str
-    relevant: float
-    is_numerical: bool = False
+    name: str = entry("Name of the cause")
+    label: str = entry("What prose calls it")
+    slot: Slot = entry(
+        "Where it acts: on the forces in the knee, its loads, what is read, the parameters of"
+        " what the model has already, or by when a trial was made"
+    )
+    sentence: str = entry("What it is")
+    source: str = entry("Source of its plausible size")
+    relevant: float = entry(
+        "The smallest amplitude worth knowing, in the unit of the effect's first parameter"
+    )
+    is_numerical: bool = entry(
+        "Whether it stands for what a computation gets wrong of any knee: allowed for, never "
+        "a cause",
+        default=False,
+    )
 
 
 _ESTIMATE = "an estimate"
