@@ -532,18 +532,6 @@ RANKS = {code: place for place, code in enumerate(KINDS)}
 UNCODED = FindingKind(code="", severity=WARNING, about=About.EARLIER, meaning="Its words alone.")
 
 
-__all__ = [
-    "Finding",
-    "FindingKind",
-    "Severity",
-    "by_severity",
-    "finding",
-    "finding_lines",
-    "invalidating",
-    "without_repeats",
-]
-
-
 @declared
 class Finding:
     """A finding about a result.

@@ -33,8 +33,8 @@ from identknee.model.effects.structures import (
     lines_of,
     structure,
 )
-from identknee.model.effects.tissues import WRAPPING as WRAPPING
 from identknee.model.effects.tissues import (
+    WRAPPING,
     Cartilage,
     bundles,
     contact_nuisance,
