@@ -112,17 +112,6 @@ class Anatomy:
         return self.medial, self.lateral
 
 
-@declared
-class MeniscusSpring:
-    """Where a meniscus ties a condyle to its plateau, in the common frame of the scanned pose."""
-
-    side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
-    femur: Array = entry("Centre of the condyle [mm], shape ``(3,)``")
-    tibia: Array = entry("Centre of the plateau [mm], shape ``(3,)``")
-    anterior: Array = entry("Unit vector of the tibia along which it is sheared, shape ``(3,)``")
-    lateral: Array = entry("The other such vector")
-
-
 def anatomy(knee: Knee) -> Anatomy:
     """Anatomical sites from a knee's surfaces, frames and insertions.
 
@@ -206,21 +195,6 @@ def anatomy(knee: Knee) -> Anatomy:
         joint_line=float(knee.tibia_frame.to_local(plateaus)[:, 1].mean()),
         fibular_head=fibula,
         **roles,
-    )
-
-
-def meniscus_springs(knee: Knee) -> tuple[MeniscusSpring, ...]:
-    """Where springs stand for the menisci, medial and lateral."""
-    anterior, _, lateral = knee.tibia_frame.axes
-    return tuple(
-        MeniscusSpring(
-            side=x.side,
-            femur=x.condyle_centre,
-            tibia=x.plateau_centre,
-            anterior=anterior,
-            lateral=lateral,
-        )
-        for x in anatomy(knee).compartments
     )
 
 

@@ -17,7 +17,7 @@ from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, with_line
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.subject.anatomy import anatomy, meniscus_springs
+from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
 
 CONTACT_LAW = "contact_law"
@@ -106,10 +106,11 @@ def meniscus(knee: Knee) -> Meniscus:
 
     5 to 50 N/mm is an estimate; models without menisci are known to lack a restraint of sliding.
     """
+    anterior, _, lateral = knee.tibia_frame.axes
     ends = [
-        (spring.femur, spring.femur + FAR * along)
-        for spring in meniscus_springs(knee)
-        for along in (spring.anterior, spring.lateral)
+        (side.condyle_centre, side.condyle_centre + FAR * along)
+        for side in anatomy(knee).compartments
+        for along in (anterior, lateral)
     ]
     return Meniscus(
         femoral=knee.femur_frame.to_local([x for x, _ in ends]),

@@ -10,8 +10,7 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.mechanics.contact_points import contact_places, distances
 from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw
-from identknee.model.contact_geometry import ContactGeometry, contact_geometry
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import ContactGeometry, LaxityModel, contact_geometry
 from identknee.runs.arrays import Array
 
 

@@ -15,7 +15,7 @@ from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
-from identknee.model import contact_geometry as joint
+from identknee.model import laxity_model as joint
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import OUTCOMES, LaxityModel, Prediction
 from identknee.model.quantities import tensions_of

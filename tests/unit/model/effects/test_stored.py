@@ -11,7 +11,7 @@ from small_knee import small_knee, small_protocol
 from tolerances import SAME_POSE
 
 from identknee.calibrate.starts import named_start
-from identknee.model import contact_geometry as joint
+from identknee.model import laxity_model as joint
 from identknee.model.effects.library import choice_of, effect_named, effects_of, library, values_of
 from identknee.model.effects.structures import (
     MissingStructure,
