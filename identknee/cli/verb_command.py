@@ -12,7 +12,7 @@ from typing_extensions import override
 
 import identknee as ik
 from identknee.cli.command import Command, CommandGroup, Json, finished
-from identknee.laxity.table import TABLES
+from identknee.laxity.named_tables import TABLES
 from identknee.runs.files import write_atomically
 from identknee.subject.examples import named_subject
 from identknee.verbs.registry import Verb, verbs

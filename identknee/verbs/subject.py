@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal, Unpack
 from typing_extensions import override
 
 from identknee.checks.subject_checks import StabilityReport, check_stability
-from identknee.laxity.table import TABLES, TrialsLike, example_laxity, read_tests
+from identknee.laxity.named_tables import TABLES
+from identknee.laxity.table import TrialsLike, example_laxity, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
 from identknee.model.laxity_model import model_for_tests
 from identknee.runs.arrays import Array

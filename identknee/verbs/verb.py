@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 from typing import Protocol as TypedProtocol
 
+from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity, laxity_file, read_laxity
+from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread

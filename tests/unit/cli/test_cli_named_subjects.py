@@ -7,7 +7,7 @@ import pytest
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
-from identknee.laxity.table import TABLES
+from identknee.laxity.named_tables import TABLES
 from identknee.runs.files import digest
 
 

@@ -5,7 +5,8 @@ import pytest
 from common.published import TABLE2, TABLE5, table2_laxity
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import COORDINATES, FOLDER, Laxity
+from identknee.laxity.named_tables import FOLDER
+from identknee.laxity.table import COORDINATES, Laxity
 
 
 def printed_rows(name: str) -> list[dict[str, str]]:

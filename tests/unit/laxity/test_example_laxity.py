@@ -5,13 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identknee.laxity.named_tables import FOLDER, TABLES, laxity_file
 from identknee.laxity.table import (
     COORDINATES,
-    FOLDER,
-    TABLES,
     Laxity,
     example_laxity,
-    laxity_file,
     read_laxity,
     write_laxity,
 )
