@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from common.published import TABLE2, TABLE5, table2_laxity
 
-from identknee.laxity.protocol import load_protocol
 from identknee.laxity.named_tables import FOLDER
+from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import COORDINATES, Laxity
 
 
