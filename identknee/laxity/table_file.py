@@ -13,9 +13,16 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.dominant_load import SAME_FLEXION_DEG, STRAY, TYPICAL
-from identknee.laxity.protocol import DIRECTIONS, Protocol
-from identknee.laxity.zero_conventions import ZEROS, zero_fault
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_FLEXION_DEG,
+    STRAY,
+    TYPICAL,
+    WAYS,
+    ZEROS,
+    Protocol,
+    zero_fault,
+)
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
@@ -381,7 +388,7 @@ def mean_curves(
         for load, values in crossed:
             rows.append(values.mean(axis=0))
             rows[-1][1 + axis] = load
-            names.append(_name(ramp, axis, load))
+            names.append(f"{ramp}_{WAYS[axis][0 if load > 0.0 else 1]}{abs(load):.3g}")
         spreads += [squares / n_free if n_free else np.full(11, np.nan)] * len(crossed)
     variance = np.array(spreads)[:, 6:]
     has_one = np.asarray(np.isfinite(variance).any(axis=1))
@@ -426,11 +433,19 @@ def _crossings(values: Array, axis: int, levels: Sequence[float]) -> list[tuple[
         reached = farthest[farthest > 0.5 * top].min()
         for level in levels:
             at = sign * reached * level / 100.0
-            rows = [
-                _at(values[i : j + 1], axis, at)
-                for i, j in itertools.pairwise(ends)
-                if min(load[i], load[j]) <= at <= max(load[i], load[j])
-            ]
+            rows = []
+            for i, j in itertools.pairwise(ends):
+                if not min(load[i], load[j]) <= at <= max(load[i], load[j]):
+                    continue
+                branch = values[i : j + 1]
+                order = np.argsort(branch[:, 1 + axis], kind="stable")
+                along, columns = branch[order, 1 + axis], branch[order].T
+                known = ~np.isnan(columns)
+                crossed = [
+                    np.interp(at, along[is_there], column[is_there]) if is_there.any() else np.nan
+                    for column, is_there in zip(columns, known, strict=True)
+                ]
+                rows.append(crossed)
             if rows:
                 found.append((at, np.array(rows)))
     return found
@@ -451,25 +466,6 @@ def _turning_points(load: Array) -> list[int]:
             way, low, high = 1, i, i
     last = low if way < 0 else high
     return [*ends, last] if last > ends[-1] else ends
-
-
-def _at(branch: Array, axis: int, load: float) -> Array:
-    """The values of one way of the load where it crosses `load`, shape ``(11,)``."""
-    order = np.argsort(branch[:, 1 + axis], kind="stable")
-    along = branch[order, 1 + axis]
-    made = [
-        np.interp(load, along[known], column[known])
-        if (known := ~np.isnan(column)).any()
-        else np.nan
-        for column in branch[order].T
-    ]
-    return np.array(made)
-
-
-def _name(ramp: str, axis: int, load: float) -> str:
-    """The ramp, then the load as in ``rotation internal 5 N m``."""
-    word = DIRECTIONS[axis][0 if load > 0.0 else 1].split()[0]
-    return f"{ramp}_{word}{abs(load):.3g}"
 
 
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.

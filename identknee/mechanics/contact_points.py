@@ -4,11 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.pose import place, rotation_matrix
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 
 DEFAULT_NUMBER = 1500
@@ -44,7 +43,9 @@ def contact_points(
     for index, (vertices, faces) in enumerate(sheets):
         # A few more than asked for are kept as they are: clustering would gain nothing.
         if number is None or total <= 1.2 * number:
-            found, area = vertices, _vertex_areas(vertices, faces)
+            found, area = vertices, np.zeros(len(vertices))
+            for k in range(3):
+                np.add.at(area, faces[:, k], triangle_areas(vertices, faces) / 3.0)
         else:
             share = triangle_areas(vertices, faces).sum() / whole
             found, area = _patches(vertices, faces, max(1, round(number * share)))
@@ -62,15 +63,7 @@ def triangle_areas(vertices: Array, faces: IntArray) -> Array:
     """Area of each triangle [mm2], shape ``(m,)``."""
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area: Array = 0.5 * np.linalg.norm(normal, axis=1)
-    return area
-
-
-def _vertex_areas(vertices: Array, faces: IntArray) -> Array:
-    area = np.zeros(len(vertices))
-    for k in range(3):
-        np.add.at(area, faces[:, k], triangle_areas(vertices, faces) / 3.0)
-    return area
+    return np.asarray(0.5 * np.linalg.norm(normal, axis=1))
 
 
 def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Array]:
@@ -80,7 +73,10 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
 
     corner = vertices[faces]
     while len(corner) < MOST_PIECES * number:
-        corner = _quartered(corner)
+        a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corner = np.concatenate([np.stack(part, axis=1) for part in parts])
     pieces = corner.mean(axis=1)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     weight = 0.5 * np.linalg.norm(normal, axis=1)
@@ -101,14 +97,6 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     return centroid, area
 
 
-def _quartered(corner: Array) -> Array:
-    """Each triangle cut into four by the middles of its edges; shape ``(4 m, 3, 3)``."""
-    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
 @declared
 class ContactPlaces:
     """The k points of the tibia that touch the femur in one pose."""
@@ -127,7 +115,10 @@ def contact_places(
     """The contact at `flexion` [rad] and a pose (5,), with the forces of the kernel's law."""
     placement, law = place(flexion, pose), contact.law or ContactLaw()
     places = field.to_field(placement.to_femur(contact.points))
-    index = np.flatnonzero(_may_touch(field, places))
+    # Cells that may hold contact; those at the grid's faces do not.
+    last = np.array(field.reach.shape) - 1
+    cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
+    index = np.flatnonzero(field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] > 0)
     distance, outward = distances(field, places[index])
     inside = distance < law.rounding
     index, depth = index[inside], -distance[inside]
@@ -149,42 +140,32 @@ def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
     """Signed distance [mm] of places (n, 3) inside the grid, ``(n,)``, and its gradient (n, 3)."""
     at = (places - field.origin) / field.spacing
     cell = np.floor(at).astype(np.int64)
-    weights, slopes = _spline_weights(at - cell)
+    u = at - cell
+    a = 1.0 - u
+    weights = np.stack(
+        [
+            a**3 / 6.0,
+            (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
+            (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
+            u**3 / 6.0,
+        ],
+        axis=-1,
+    )
+    slopes = [-(a**2) / 2.0, (3.0 * u**2 - 4.0 * u) / 2.0, (4.0 * a - 3.0 * a**2) / 2.0, u**2 / 2.0]
+    along = np.stack(slopes, axis=-1)
     x, y, z = (cell[:, axis, None] + np.arange(-1, 3) for axis in range(3))
     nodes = field.coefficients[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
 
     def summed(x: Array, y: Array, z: Array) -> Array:
         along_y = np.einsum("nijk,nk,nj->ni", nodes, z, y)
-        total: Array = (along_y * x).sum(axis=1)
-        return total
+        return np.asarray((along_y * x).sum(axis=1))
 
     gradient = [
-        summed(*(slopes[:, i] if i == axis else weights[:, i] for i in range(3)))
+        summed(*(along[:, i] if i == axis else weights[:, i] for i in range(3)))
         for axis in range(3)
     ]
     value = summed(weights[:, 0], weights[:, 1], weights[:, 2])
     return value, np.stack(gradient, axis=1) / field.spacing
-
-
-def _may_touch(field: DistanceField, places: Array) -> BoolArray:
-    """Which places lie in cells that may hold contact; those at the grid's faces do not."""
-    last = np.array(field.reach.shape) - 1
-    cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
-    may: BoolArray = field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] > 0
-    return may
-
-
-def _spline_weights(u: Array) -> tuple[Array, Array]:
-    """Cubic B-spline weights at places ``u`` within cells and their slopes, ``(..., 4)``."""
-    a = 1.0 - u
-    weights = [
-        a**3 / 6.0,
-        (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
-        (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
-        u**3 / 6.0,
-    ]
-    slopes = [-(a**2) / 2.0, (3.0 * u**2 - 4.0 * u) / 2.0, (4.0 * a - 3.0 * a**2) / 2.0, u**2 / 2.0]
-    return np.stack(weights, axis=-1), np.stack(slopes, axis=-1)
 
 
 def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:
@@ -313,5 +294,4 @@ def rim_force_fraction(
         margin = np.minimum(rim.at(centres[:, c, 1:4]), femoral.at(centres[:, c, 4:7]))
         near += forces[:, c] * (margin < RIM_MARGIN)
     total = forces.sum(axis=1)
-    share: Array = np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0)
-    return share
+    return np.asarray(np.divide(near, total, out=np.zeros(len(centres)), where=total > 0.0))

@@ -113,8 +113,7 @@ class LigamentTensions:
     @property
     def gradient(self) -> Array:
         """Gradient of the ligaments' energy by the pose [N mm, N], shape ``(n, 5)``."""
-        gradient: Array = np.einsum("nm,nma->na", self.tensions, self.lengthening)
-        return gradient
+        return np.asarray(np.einsum("nm,nma->na", self.tensions, self.lengthening))
 
 
 def ligament_tensions(

@@ -23,15 +23,14 @@ import fcl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.distance_field import PRESSURE_MODULUS
+from identknee.mechanics.equilibria import LineLigaments, LoadPaths
 from identknee.mechanics.ligament_tensions import ligament_wrench
-from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.mechanics.pose import Placement, place
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 Convention = Literal["tibia", "femur", "both"]
 
@@ -95,14 +94,19 @@ class Sheet:
         vertices = frozen(self.vertices, None, 3, name="vertices")
         faces = frozen_integers(self.faces)
         corners = vertices[faces]
-        normals, areas = _normals_and_areas(corners)
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        double = np.linalg.norm(cross, axis=1)
+        # The sheet rejects triangles without area; until then their normals are zero.
+        normals, areas = cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
         if not np.all(areas > 0.0):
             raise ValueError(
                 f"triangle {int(np.argmin(areas))} of {len(areas)} has no area; "
                 "remove such triangles from the surface"
             )
         centres = corners.mean(axis=1)
-        rim_edges = _rim_edges(faces)
+        edges = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+        _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        rim_edges: BoolArray = (count[which.reshape(-1)] == 1).reshape(-1, 3)
         derived = {
             "vertices": vertices,
             "faces": faces,
@@ -327,23 +331,7 @@ def _is_on_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
     )
     on_edge = sheet.rim_edges[triangle] & (weights < SLACK)
     on_corner = sheet.rim_corners[triangle] & (weights > 1.0 - SLACK)
-    past: BoolArray = (on_edge | on_corner).any(axis=1)
-    return past
-
-
-def _normals_and_areas(corners: Array) -> tuple[Array, Array]:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    double = np.linalg.norm(cross, axis=1)
-    # The sheet rejects triangles without area; until then their normals are zero.
-    return cross / np.where(double > 0.0, double, 1.0)[:, None], 0.5 * double
-
-
-def _rim_edges(faces: IntArray) -> BoolArray:
-    """Whether the edge opposite to each corner belongs to one triangle only, shape ``(m, 3)``."""
-    edges = np.sort(faces[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    _, which, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    on_rim: BoolArray = (count[which.reshape(-1)] == 1).reshape(-1, 3)
-    return on_rim
+    return np.asarray((on_edge | on_corner).any(axis=1))
 
 
 def _hierarchy_of(vertices: Array, faces: IntArray) -> Any:  # fcl has no types
@@ -409,7 +397,7 @@ def mesh_equilibria(
     ----------
     paths
         Flexion and generalised loads of (varus, internal [N mm], x, y, z [N]) in small steps, as
-        `identknee.mechanics.load_paths.load_paths` makes them.
+        `identknee.mechanics.equilibria.load_paths` makes them.
     start
         Pose where the paths begin: varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for
         each node, ``(n_nodes, 5)``.
@@ -472,7 +460,12 @@ def _search(balance: _Balance, start: Array) -> tuple[Array, float, int]:
     for _ in range(MOST_ITERATIONS):
         if size <= RESIDUAL_TOLERANCE:
             break
-        step = _newton_step(residual, stiffness)
+        scaled = stiffness / _SCALE / _SCALE[:, None]
+        values, vectors = np.linalg.eigh(scaled)
+        values = np.maximum(np.abs(values), LEAST_STIFFNESS)
+        step = vectors @ ((vectors.T @ (residual / _SCALE)) / values)
+        step *= min(1.0, LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
+        step = step / _SCALE
         for halving in range(MOST_HALVINGS + 1):
             trial = pose + step * 0.5**halving
             trial_residual, trial_stiffness = balance(trial)
@@ -485,17 +478,6 @@ def _search(balance: _Balance, start: Array) -> tuple[Array, float, int]:
         pose, residual, stiffness = trial, trial_residual, trial_stiffness
         size = _size(residual)
     return pose, size, evaluations
-
-
-def _newton_step(residual: Array, stiffness: Array) -> Array:
-    """The step that balances `residual` were the law linear, stiffened and shortened for safety."""
-    scaled = stiffness / _SCALE / _SCALE[:, None]
-    values, vectors = np.linalg.eigh(scaled)
-    values = np.maximum(np.abs(values), LEAST_STIFFNESS)
-    step = vectors @ ((vectors.T @ (residual / _SCALE)) / values)
-    step *= min(1.0, LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-300))
-    shortened: Array = step / _SCALE
-    return shortened
 
 
 def _size(residual: Array) -> float:

@@ -1,25 +1,27 @@
 """Candidate laxity trials, as predicted by the model of the knee."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
-from identknee.laxity.candidates import FLEXION_DEG, candidate_trials
-from identknee.laxity.protocol import Protocol, concatenate
-from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zero_conventions import (
+from identknee.laxity.protocol import (
+    FLEXION_DEG,
     SAME_ANGLE_DEG,
     UNLOADED,
+    Protocol,
+    candidate_trials,
+    concatenate,
     from_zero,
     zero_of_added_trials,
 )
-from identknee.mechanics.grood_suntay import pose_from_coordinates
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import POSE_EVERY_DEG
+from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import declared, entry
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
@@ -42,38 +44,18 @@ def continued_from_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
     for share in SHARES:
         part = model.protocol.under(np.full(model.protocol.n, share))
         found = replace(model, protocol=part).predict(theta, derivatives=False)
-        model = replace(model, poses=_moved(model.poses, found))
+        has_pose = found.is_converged[:, None]
+        poses = pose_from_coordinates(np.where(has_pose, found.coordinates, 0.0))
+        model = replace(model, poses=np.where(has_pose, poses, model.poses))
     return model
 
 
-def _moved(poses: Array, prediction: Prediction) -> Array:
-    """Poses between the measured frames, those of trials without equilibrium as they were."""
-    found = prediction.is_converged[:, None]
-    return np.where(
-        found, pose_from_coordinates(np.where(found, prediction.coordinates, 0.0)), poses
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class CandidateLaxity:
     """Candidate trials, measured like those of the data.
 
     A trial that is added has the coordinates that the data have, counted from the same zero, with
     the errors `sd` and the correlation within a trial that the data state.
-
-    Attributes
-    ----------
-    model
-        The model of the data.
-    laxity
-        The data.
-    protocol
-        The trials to choose from.
-    sd
-        Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; NaN for
-        those that would not be measured. See `typical_errors`.
-    free
-        The parameters of the model that vary, and the values of the others.
 
     Raises
     ------
@@ -81,11 +63,16 @@ class CandidateLaxity:
         If no coordinate would be measured, or a standard deviation is not positive.
     """
 
-    model: LaxityModel
-    laxity: Laxity
-    protocol: Protocol
-    sd: Array
-    free: FreeParameters
+    model: LaxityModel = entry("The model of the data")
+    laxity: Laxity = entry("The data")
+    protocol: Protocol = entry("The trials to choose from")
+    sd: Array = entry(
+        "Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; "
+        "NaN for those that would not be measured. See `typical_errors`"
+    )
+    free: FreeParameters = entry(
+        "The parameters of the model that vary, and the values of the others"
+    )
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -1,19 +1,17 @@
 """Moving insertions within their uncertainty until all trials have an equilibrium."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from identknee.model.effects.insertion import SHIFT_LIMIT, insertion
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
 
 BONES = ("femur", "tibia")
 # Of each axis of a bone's frame, its negative and its positive direction.
@@ -142,9 +140,28 @@ def settle(
             break
         shifts, score = found
     shifts, score = search.fewest(shifts, score)
+    femur, tibia = model.knee.femur_frame, model.knee.tibia_frame
+    ligaments = [
+        replace(
+            x,
+            femur=femur.to_common(femur.to_local(x.femur) + own[0]),
+            tibia=tibia.to_common(tibia.to_local(x.tibia) + own[1]),
+        )
+        for x, own in zip(model.knee.ligaments, shifts, strict=True)
+    ]
     return SettledKnee(
-        knee=_moved(model.knee, shifts),
-        moved=tuple(_moves(model.knee, shifts)),
+        knee=model.knee.with_ligaments(ligaments),
+        moved=tuple(
+            MovedInsertion(
+                ligament=ligament.name,
+                bone=bone,
+                distance_mm=float(np.linalg.norm(shift)),
+                shift_mm=shift,
+            )
+            for ligament, own in zip(model.knee.ligaments, shifts, strict=True)
+            for bone, shift in zip(BONES, own, strict=True)
+            if shift.any()
+        ),
         n_trials=model.protocol.n,
         n_before=before[0],
         n_after=score[0],
@@ -190,14 +207,12 @@ class _Search:
             n_restored=n_restored,
         )
 
-    def is_within(self, shifts: Array) -> bool:
-        return bool(np.all(np.linalg.norm(shifts, axis=2) <= self._within * (1.0 + 1e-9)))
-
     def better(self, shifts: Array, score: Score) -> tuple[Array, Score] | None:
         """The shifts after the step that gains most; None where none gains."""
         for size in STEPS:
-            steps = self.steps(size * self._within)
-            tried = [x for x in (shifts + step for step in steps) if self.is_within(x)]
+            tried = [shifts + step for step in self.steps(size * self._within)]
+            farthest = self._within * (1.0 + 1e-9)
+            tried = [x for x in tried if np.all(np.linalg.norm(x, axis=2) <= farthest)]
             found = self.scores(tried)
             best = max(range(len(tried)), key=lambda k: found[k])
             if found[best] > score:
@@ -209,7 +224,15 @@ class _Search:
 
     def scores(self, shifts: Sequence[Array]) -> list[Score]:
         """Trials that converge, the load that the others reach, the lowest margin."""
-        return [_score(x) for x in self._executor.map(partial(_predict, self._model), shifts)]
+        scores = []
+        for found in self._executor.map(partial(_predict, self._model), shifts):
+            converged = found.is_converged
+            margins = found.margins[converged]
+            # The margin counts up to what is enough and only where no trial is lost.
+            margin = min(float(margins.min()), ENOUGH_MARGIN) if converged.all() else 0.0
+            reached = float(found.reached[~converged].sum())
+            scores.append((int(converged.sum()), reached, margin))
+        return scores
 
     def lowest_margin(self, shifts: Array) -> float:
         found = _predict(self._model, shifts)
@@ -233,41 +256,3 @@ def _predict(model: LaxityModel, shifts: Array) -> Prediction:
     theta = np.array(model.parameters.start)
     theta[-shifts.size :] += shifts.ravel()
     return model.predict(theta, derivatives=False)
-
-
-def _score(found: Prediction) -> Score:
-    converged = found.is_converged
-    margins = found.margins[converged]
-    # The margin counts up to what is enough and only where no trial is lost.
-    margin = min(float(margins.min()), ENOUGH_MARGIN) if converged.all() else 0.0
-    return int(converged.sum()), float(found.reached[~converged].sum()), margin
-
-
-def _moves(knee: Knee, shifts: Array) -> Iterator[MovedInsertion]:
-    """The insertions whose shift is not zero; `shifts` has shape ``(n_ligaments, 2, 3)``."""
-    for ligament, own in zip(knee.ligaments, shifts, strict=True):
-        for bone, shift in zip(BONES, own, strict=True):
-            if shift.any():
-                yield MovedInsertion(
-                    ligament=ligament.name,
-                    bone=bone,
-                    distance_mm=float(np.linalg.norm(shift)),
-                    shift_mm=shift,
-                )
-
-
-def _moved(knee: Knee, shifts: Array) -> Knee:
-    frames = knee.femur_frame, knee.tibia_frame
-
-    def moved(ligament: Ligament, own: Array) -> Ligament:
-        femur, tibia = (
-            frame.to_common(frame.to_local(point) + shift)
-            for frame, point, shift in zip(
-                frames, (ligament.femur, ligament.tibia), own, strict=True
-            )
-        )
-        return replace(ligament, femur=femur, tibia=tibia)
-
-    return knee.with_ligaments(
-        [moved(ligament, own) for ligament, own in zip(knee.ligaments, shifts, strict=True)]
-    )

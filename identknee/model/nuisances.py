@@ -7,25 +7,25 @@ from types import MappingProxyType
 
 import numpy as np
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.effects.effect import (
+    Changed,
     Effect,
     InputsChange,
     ReplicaEffect,
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.frames import flexion_offset
 from identknee.model.effects.insertion import AXES, insertion
+from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
-from identknee.model.effects.stored import effects_of
+from identknee.model.effects.readings import flexion_offset
 from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import BONES
+from identknee.subject.knee import BONES, Knee
 
 # Standard deviations within which an amplitude lies.
 REACH = 4.0
@@ -128,26 +128,24 @@ def insertions(knee: Knee) -> LinearlyCombinedEffect:
     )
 
 
+def _logarithm(name: str, amplitude: str, sd: float, changed: Changed) -> InputsChange:
+    made = amplitudes(name, [amplitude], [sd], upper=[REACH * sd])
+    return InputsChange(name=name, parameters=made.as_nuisances(), changed=changed)
+
+
 def contact_modulus(sd: float) -> InputsChange:
     """Logarithm of the modulus of the cartilage over the knee's own."""
-    made = amplitudes("contact_modulus", ["ln_modulus"], [sd], upper=[REACH * sd])
-    return InputsChange(
-        name="contact_modulus", parameters=made.as_nuisances(), changed=_with_modulus
-    )
+    return _logarithm("contact_modulus", "ln_modulus", sd, _with_modulus)
 
 
 def contact_exponent(sd: float) -> InputsChange:
     """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
-    made = amplitudes("contact_exponent", ["ln_exponent"], [sd], upper=[REACH * sd])
-    return InputsChange(
-        name="contact_exponent", parameters=made.as_nuisances(), changed=_with_exponent
-    )
+    return _logarithm("contact_exponent", "ln_exponent", sd, _with_exponent)
 
 
 def toe_region(sd: float) -> InputsChange:
     """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
-    made = amplitudes("toe_region", ["ln_strain"], [sd], upper=[REACH * sd])
-    return InputsChange(name="toe_region", parameters=made.as_nuisances(), changed=_with_toe_region)
+    return _logarithm("toe_region", "ln_strain", sd, _with_toe_region)
 
 
 def reference_pose(sd_deg: float, sd_mm: float) -> InputsChange:
@@ -244,17 +242,20 @@ class Registration:
         return whole
 
 
-# Errors that a subject may hold without their being uncertain, at any spread: it does not count.
-_HELD = MappingProxyType[str, Callable[[], Effect]](
+# Of each error the parts of `Uncertainty` that state it, and what makes it of these.
+_ERRORS = MappingProxyType[str, tuple[tuple[str, ...], Callable[..., Effect]]](
     {
-        "reference_pose": lambda: reference_pose(1.0, 1.0),
-        "contact_modulus": lambda: contact_modulus(1.0),
-        "contact_exponent": lambda: contact_exponent(1.0),
-        "toe_region": lambda: toe_region(1.0),
-        "load_gain": lambda: load_gain(1.0),
-        "load_axes": lambda: load_axes(1.0),
-        "flexion": lambda: flexion(1.0),
-        "registration": lambda: Registration(sd_deg=1.0, sd_mm=1.0),
+        "reference_pose": (("reference_pose_deg", "reference_pose_mm"), reference_pose),
+        "contact_modulus": (("contact_modulus",), contact_modulus),
+        "contact_exponent": (("contact_exponent",), contact_exponent),
+        "toe_region": (("toe_region",), toe_region),
+        "load_gain": (("load_gain",), load_gain),
+        "load_axes": (("load_axes_deg",), load_axes),
+        "flexion": (("flexion_deg",), flexion),
+        "registration": (
+            ("registration_deg", "registration_mm"),
+            lambda sd_deg, sd_mm: Registration(sd_deg=sd_deg, sd_mm=sd_mm),
+        ),
     }
 )
 
@@ -263,12 +264,12 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     """The stated nuisance parameters of a knee, in the order in which they act; may be empty.
 
     Errors that are the same for every parameter are no part of it: see
-    `identknee.model.shared_errors`.
+    `identknee.model.residuals`.
 
     Examples
     --------
     >>> from identknee.subject.reference import reference_knee
-    >>> from identknee.subject.uncertainty import Uncertainty
+    >>> from identknee.subject.knee import Uncertainty
     >>> knee = reference_knee().with_uncertainty(Uncertainty(load_gain=0.03))
     >>> [x.name for x in nuisances_of(knee)]
     ['load_gain']
@@ -277,22 +278,10 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     made: list[Effect] = []
     if not isinstance(stated.insertions_mm, float) or stated.insertions_mm > 0.0:
         made.append(insertions(knee))
-    if stated.reference_pose_deg > 0.0 or stated.reference_pose_mm > 0.0:
-        made.append(reference_pose(stated.reference_pose_deg, stated.reference_pose_mm))
-    if stated.contact_modulus > 0.0:
-        made.append(contact_modulus(stated.contact_modulus))
-    if stated.contact_exponent > 0.0:
-        made.append(contact_exponent(stated.contact_exponent))
-    if stated.toe_region > 0.0:
-        made.append(toe_region(stated.toe_region))
-    if stated.load_gain > 0.0:
-        made.append(load_gain(stated.load_gain))
-    if stated.load_axes_deg > 0.0:
-        made.append(load_axes(stated.load_axes_deg))
-    if stated.flexion_deg > 0.0:
-        made.append(flexion(stated.flexion_deg))
-    if stated.registration_deg > 0.0 or stated.registration_mm > 0.0:
-        made.append(Registration(sd_deg=stated.registration_deg, sd_mm=stated.registration_mm))
+    for parts, make in _ERRORS.values():
+        sizes = [getattr(stated, x) for x in parts]
+        if max(sizes) > 0.0:
+            made.append(make(*sizes))
     return tuple(made)
 
 
@@ -307,28 +296,6 @@ def contact_rounding(knee: Knee) -> float:
     return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm
 
 
-def fixed_errors(knee: Knee) -> tuple[Effect, ...]:
-    """Stored errors of the knee that are not stated as uncertain, fixed at their sizes.
-
-    Raises
-    ------
-    ValueError
-        If a stored error has no such part.
-    """
-    stated = {x.name for x in nuisances_of(knee)}
-    made = []
-    for choice in knee.effects:
-        if choice.name in stated or choice.name not in _HELD:
-            continue
-        effect = _HELD[choice.name]()
-        sizes = dict.fromkeys(effect.parameters.names, 0.0)
-        for name, value in choice.values.items():
-            effect.parameters.index(f"{choice.name}.{name}")
-            sizes[f"{choice.name}.{name}"] = value
-        made.append(with_fixed_amplitudes(effect, sizes))
-    return tuple(made)
-
-
 class StoredWithKnee(tuple[Effect, ...]):
     """Default argument: the effects and nuisances stored with the knee."""
 
@@ -340,8 +307,27 @@ def stored_effects(knee: Knee) -> tuple[Effect, ...]:
 
     An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
     knee states none.
+
+    Raises
+    ------
+    ValueError
+        If a stored error has no such part.
     """
-    errors = (*fixed_errors(knee), *nuisances_of(knee))
+    stated = nuisances_of(knee)
+    names = {x.name for x in stated}
+    held = []
+    for choice in knee.effects:
+        if choice.name in names or choice.name not in _ERRORS:
+            continue
+        parts, make = _ERRORS[choice.name]
+        # At any spread: it does not count.
+        effect = make(*[1.0] * len(parts))
+        sizes = dict.fromkeys(effect.parameters.names, 0.0)
+        for name, value in choice.values.items():
+            effect.parameters.index(f"{choice.name}.{name}")
+            sizes[f"{choice.name}.{name}"] = value
+        held.append(with_fixed_amplitudes(effect, sizes))
+    errors = (*held, *stated)
     names = {x.name for x in errors}
     if any(x.name in names for x in knee.effects):
         knee = knee.with_effects([x for x in knee.effects if x.name not in names])

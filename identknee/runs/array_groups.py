@@ -9,7 +9,7 @@ import numpy as np
 import xarray
 
 from identknee.runs.declare import AXIS_NAMES, Entry, axis_names_within, entries
-from identknee.runs.plain_records import record_within, type_hints_of
+from identknee.runs.schema import record_within, type_hints_of
 
 Groups = Mapping[str, xarray.Dataset]
 MAIN = "result"
@@ -121,11 +121,19 @@ def _columns(kind: type, records: Sequence[Any], rows: str, prefix: str) -> dict
             empty = np.empty((0,) * len(about.dims))
             arrays = [empty if x is None else np.asarray(_stored(x)) for x in values]
             found[column] = ((rows, *about.dims), _padded(arrays), _attributes(about))
-            found |= _lengths(about, arrays, rows, prefix)
+            # How long each is along an axis on which they differ.
+            for axis, dim in enumerate(about.dims):
+                lengths = [x.shape[axis] for x in arrays]
+                if dim in RAGGED or len(set(lengths)) > 1:
+                    attributes = {"units": "1", "long_name": f"Length along {dim}"}
+                    found[f"{prefix}n_{dim}"] = ((rows,), lengths, attributes)
         elif about.is_in_arrays:
             continue
         elif values and how == "" and all(isinstance(x, _COLUMNS) for x in values):
-            found[column] = (rows, _column(values), _attributes(about))
+            plain: Any = [_stored(x) for x in values]
+            if any(x is None for x in plain):
+                plain = np.array([np.nan if x is None else x for x in plain])
+            found[column] = (rows, plain, _attributes(about))
     return found
 
 
@@ -133,17 +141,6 @@ def _padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """The arrays stacked along a new first axis, shorter ones padded at their ends."""
     shape = np.max([x.shape for x in arrays], axis=0, initial=0).astype(int).tolist()
     return np.array([_lengthened(x, shape) for x in arrays])
-
-
-def _lengths(about: Entry, arrays: Sequence[np.ndarray], rows: str, prefix: str) -> dict[str, Any]:
-    """How long each of the arrays is along an axis on which they differ."""
-    found = {}
-    for axis, dim in enumerate(about.dims):
-        lengths = [x.shape[axis] for x in arrays]
-        if dim in RAGGED or len(set(lengths)) > 1:
-            attributes = {"units": "1", "long_name": f"Length along {dim}"}
-            found[f"{prefix}n_{dim}"] = ((rows,), lengths, attributes)
-    return found
 
 
 def _dataset(variables: Mapping[str, Any], labels: Mapping[str, Sequence[str]]) -> xarray.Dataset:
@@ -165,17 +162,12 @@ def _dataset(variables: Mapping[str, Any], labels: Mapping[str, Sequence[str]]) 
 
 
 def _lengthened(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
-    """The values, padded to a shape."""
     if list(values.shape) == list(shape):
         return values
-    whole = np.full(shape, _filler(values), dtype=values.dtype)
+    filler: Any = {"f": np.nan, "i": -1, "U": ""}.get(values.dtype.kind, 0)
+    whole = np.full(shape, filler, dtype=values.dtype)
     whole[tuple(slice(x) for x in values.shape)] = values
     return whole
-
-
-def _filler(values: np.ndarray) -> Any:
-    """What stands beyond the end of an array."""
-    return {"f": np.nan, "i": -1, "U": ""}.get(values.dtype.kind, 0)
 
 
 def _attributes(about: Entry) -> dict[str, Any]:
@@ -185,13 +177,6 @@ def _attributes(about: Entry) -> dict[str, Any]:
         said["flag_values"] = list(range(len(about.words)))
         said["flag_meanings"] = " ".join(about.words)
     return said
-
-
-def _column(values: Sequence[Any]) -> Any:
-    plain = [_stored(x) for x in values]
-    if any(x is None for x in plain):
-        return np.array([np.nan if x is None else x for x in plain])
-    return plain
 
 
 def _stored(value: Any) -> Any:
@@ -211,7 +196,14 @@ def _filled(
         if kind is not None and about.rows and (value is not None or not about.is_in_json):
             variables = {} if dataset is None else dataset.variables
             arrays = {str(x): y.values for x, y in variables.items() if about.rows in y.dims}
-            rows = value if about.is_in_json else _rows_alone(kind, arrays, about, how)
+            rows = value
+            if not about.is_in_json:
+                # Numbers and words that the groups alone have, one record for each row.
+                n = max((len(x) for x in arrays.values()), default=0)
+                own = [{key: x[row] for key, x in arrays.items()} for row in range(n)]
+                rows = [_row_alone(kind, x, "") for x in own]
+                if how != "list":
+                    rows = dict(zip(map(str, arrays.get(about.rows, ())), rows, strict=True))
             filled[key] = _filled_rows(kind, rows, arrays, "")
         elif kind is not None and how == "one" and isinstance(value, dict):
             inner = _prefix_within(about, prefix, key)
@@ -233,15 +225,6 @@ def _found(cls: type, name: str, groups: Groups, group: str, prefix: str) -> lis
         return []
     values = dataset[column].values
     return [values if about.dims else values.item()]
-
-
-def _rows_alone(kind: type, arrays: Mapping[str, np.ndarray], about: Entry, how: str) -> Any:
-    """The numbers and words of records that the groups alone have, one for each row."""
-    n = max((len(x) for x in arrays.values()), default=0)
-    rows = [_row_alone(kind, {key: x[row] for key, x in arrays.items()}, "") for row in range(n)]
-    if how == "list":
-        return rows
-    return dict(zip(map(str, arrays.get(about.rows, ())), rows, strict=True))
 
 
 def _row_alone(kind: type, row: Mapping[str, Any], prefix: str) -> dict[str, Any]:
@@ -284,10 +267,7 @@ def _filled_row(
             cut = tuple(slice(None if x is None else int(x)) for x in lengths)
             values = np.asarray(arrays[column])[cut]
             # An array that a record may lack is NaN throughout where it does.
-            if not (_may_be_missing(kind, name) and np.isnan(values).all()):
+            may_miss = any(x.name == name and x.default is None for x in fields(kind))
+            if not (may_miss and np.isnan(values).all()):
                 filled[key] = values
     return filled
-
-
-def _may_be_missing(kind: type, name: str) -> bool:
-    return any(x.name == name and x.default is None for x in fields(kind))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,8 +41,11 @@ def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
     >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
     False
     """
-    if _is_frozen(values) and _fits(values.shape, shape):
-        return values
+    # As this function gives it: nobody else can change its numbers.
+    if type(values) is np.ndarray and values.base is None and values.dtype.char == "d":
+        is_read_only = values.flags.c_contiguous and not values.flags.writeable
+        if is_read_only and _fits(values.shape, shape):
+            return values
     try:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -77,14 +80,6 @@ def implausible_coordinates(points: ArrayLike) -> str:
     if largest <= FARTHEST_MM:
         return ""
     return f"{largest:g} mm away, which no measurement is"
-
-
-def _is_frozen(values: ArrayLike) -> TypeGuard[Array]:
-    """Whether this is an array as `frozen` gives it, whose numbers nobody else can change."""
-    if type(values) is not np.ndarray or values.base is not None:
-        return False
-    flags = values.flags
-    return values.dtype.char == "d" and flags.c_contiguous and not flags.writeable
 
 
 def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
@@ -128,15 +123,10 @@ def _short(value: Any) -> str:
         return f"<{type(value).__name__}{f' {name}' if isinstance(name, str) else ''}>"
     if isinstance(value, float):
         return f"{value:.6g}"
+    text = repr(dict(value) if isinstance(value, Mapping) else value)
     if isinstance(value, Mapping | tuple | list):
-        return _few(value)
-    text = repr(value)
+        items = value.values() if isinstance(value, Mapping) else value
+        is_plain = len(value) <= MOST_ITEMS and not any(map(is_dataclass, items))
+        is_short = is_plain and len(text) <= MOST_LETTERS and "\n" not in text
+        return text if is_short else f"<{len(value)} entries>"
     return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
-
-
-def _few(values: Any) -> str:
-    text = repr(dict(values) if isinstance(values, Mapping) else values)
-    items = values.values() if isinstance(values, Mapping) else values
-    is_plain = len(values) <= MOST_ITEMS and not any(map(is_dataclass, items))
-    is_short = is_plain and len(text) <= MOST_LETTERS and "\n" not in text
-    return text if is_short else f"<{len(values)} entries>"

@@ -102,9 +102,8 @@ def array(
     along it; an axis named by a number has that length. Where the default is None the array may be
     missing.
     """
-    known = {"is_in_json": False, "is_in_arrays": True, **where}
-    metadata = {ENTRY: Entry(meaning=meaning, unit=unit, dims=dims, dtype=dtype, **known)}
-    return field(default=default, metadata=metadata)
+    known = {"dims": dims, "dtype": dtype, "is_in_json": False, "is_in_arrays": True, **where}
+    return entry(meaning, unit=unit, default=default, **known)
 
 
 def derived(meaning: str, **where: Any) -> Callable[[Getter], Getter]:
@@ -161,7 +160,14 @@ def declared(cls: type[Made]) -> type[Made]:
     if cls.__repr__ is object.__repr__:
         setattr(cls, "__repr__", short_repr)  # noqa: B010
     made = dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)(cls)
-    _document(made)
+    lines = []
+    for name, about in entries(made).items():
+        unit = f" [{about.unit}]" if about.unit not in ("", "1") else ""
+        shape = f", shape ``({', '.join(about.dims)}{',' * (len(about.dims) == 1)})``"
+        lines += [name, f"    {about.meaning}{unit}{shape if about.dims else ''}."]
+    text = made.__doc__ or ""
+    if lines and "Attributes\n" not in text:
+        made.__doc__ = "\n".join([text.rstrip(), "", "Attributes", "----------", *lines, ""])
     return made
 
 
@@ -282,15 +288,3 @@ def _array(name: str, value: Any, about: Entry, lengths: Mapping[str, int]) -> n
         raise ValueError(f"{name}: a code stands for none of {', '.join(about.words)}")
     converted.flags.writeable = False
     return converted
-
-
-def _document(cls: type) -> None:
-    """Append the section *Attributes* from the entries, where the docstring has none."""
-    lines = []
-    for name, about in entries(cls).items():
-        unit = f" [{about.unit}]" if about.unit not in ("", "1") else ""
-        shape = f", shape ``({', '.join(about.dims)}{',' * (len(about.dims) == 1)})``"
-        lines += [name, f"    {about.meaning}{unit}{shape if about.dims else ''}."]
-    text = cls.__doc__ or ""
-    if lines and "Attributes\n" not in text:
-        cls.__doc__ = "\n".join([text.rstrip(), "", "Attributes", "----------", *lines, ""])

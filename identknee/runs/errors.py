@@ -47,6 +47,25 @@ class InputError(ValueError):
         return "".join(x if x.isprintable() else "?" for x in whole)
 
 
+class ValueRefused(ValueError):  # noqa: N818 - said to a person as a sentence
+    """Raised where a value cannot be used: what is wrong, and what to do about it.
+
+    Examples
+    --------
+    >>> print(ValueRefused("two ligaments are called ACL", "rename one of them"))
+    two ligaments are called ACL; rename one of them
+    """
+
+    def __init__(self, why: str, remedy: str) -> None:
+        super().__init__(why, remedy)
+        self.why, self.remedy = why, remedy
+
+    @override
+    def __str__(self) -> str:
+        """Both, as one sentence."""
+        return f"{self.why}; {self.remedy}"
+
+
 def suggestion(word: str, known: Iterable[str], *, most: int | None = None) -> str:
     """Sentence that names the closest of the `known` words, or the first `most` if none is close.
 

@@ -258,8 +258,8 @@ def dask_cluster(cluster: str | int) -> Iterator[Executor]:
     Traceback (most recent call last):
     ValueError: the number of workers must be at least 1, got 0
     """
-    if isinstance(cluster, int) and cluster < 1:
-        raise ValueError(f"the number of workers must be at least 1, got {cluster}")
+    if isinstance(cluster, int):
+        _check_workers(cluster)
     try:
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
@@ -321,10 +321,8 @@ def _apply_on_one_thread(function: Callable[[Any], Any], item: Any) -> Any:
     return function(item)
 
 
-@cache
-def _keep_to_one_thread() -> None:
-    """As processes of this machine are told when they start, so that sums have the same bits."""
-    use_one_library_thread()
+# As processes of this machine are told when they start, so that sums have the same bits.
+_keep_to_one_thread = cache(use_one_library_thread)
 
 
 # How many on this machine, or the address of a dask scheduler.

@@ -79,7 +79,15 @@ def prepare_folder(path: PathLike) -> Path:
         ) from error
     except OSError as error:
         raise _unwritable(folder, error) from error
-    _remove_stale_parts(folder)
+    for part in folder.glob(".*.part"):
+        found = _PART.search(part.name)
+        if found is None or is_running(int(found[1])):
+            continue
+        with suppress(OSError):
+            if part.is_dir():
+                shutil.rmtree(part)
+            else:
+                part.unlink()
     return folder
 
 
@@ -213,18 +221,6 @@ def plain(value: Any, *, keep_nonfinite: bool = False) -> Any:
     raise TypeError(f"{value!r} of type {type(value).__name__} has no JSON form")
 
 
-def _remove_stale_parts(folder: Path) -> None:
-    for path in folder.glob(".*.part"):
-        found = _PART.search(path.name)
-        if found is None or is_running(int(found[1])):
-            continue
-        with suppress(OSError):
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-
-
 def is_running(process: int) -> bool:
     """Whether a process of this machine is running; not known on Windows, and False there."""
     if os.name == "nt":
@@ -238,21 +234,30 @@ def is_running(process: int) -> bool:
     return True
 
 
+_FULL = (
+    "the disk is full",
+    "Free some space or write to another disk; nothing half-written was left.",
+)
+_FORBIDDEN = (
+    "it may not be written to ({})",
+    "Choose another folder with --out, or change the permissions.",
+)
+_MIXED_UP = "a file and a folder are mixed up in this path ({})", "Choose another name."
+# Why something cannot be written, and the remedy, by the system's code.
+_UNWRITABLE = {
+    errno.ENOSPC: _FULL,
+    errno.EDQUOT: _FULL,
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _FORBIDDEN),
+    errno.ENOENT: ("its folder does not exist", "Make the folder first or choose another."),
+    errno.EISDIR: _MIXED_UP,
+    errno.ENOTDIR: _MIXED_UP,
+}
+
+
 def _unwritable(path: Path, error: OSError) -> InputError:
-    if error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        why = "the disk is full"
-        remedy = "Free some space or write to another disk; nothing half-written was left."
-    elif error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}:
-        why = f"it may not be written to ({_reason(error)})"
-        remedy = "Choose another folder with --out, or change the permissions."
-    elif error.errno == errno.ENOENT:
-        why, remedy = "its folder does not exist", "Make the folder first or choose another."
-    elif error.errno in {errno.EISDIR, errno.ENOTDIR}:
-        why = f"a file and a folder are mixed up in this path ({_reason(error)})"
-        remedy = "Choose another name."
-    else:
-        why, remedy = f"it cannot be written ({_reason(error)})", "Choose another place."
-    return InputError(path, "", why, remedy)
+    other = "it cannot be written ({})", "Choose another place."
+    why, remedy = _UNWRITABLE.get(error.errno or 0, other)
+    return InputError(path, "", why.format(_reason(error)), remedy)
 
 
 def _reason(error: OSError) -> str:

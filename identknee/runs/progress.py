@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from typing_extensions import override
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, ProgressColumn, TaskID
+    from rich.progress import Progress, TaskID
 
 # Less of the work says too little of the rest.
 LEAST_SHARE = 0.02
@@ -262,8 +262,6 @@ def _bar(
 
 
 class _Silent:
-    """Says nothing."""
-
     def __call__(self, _count: int, /) -> None:
         return
 
@@ -293,9 +291,22 @@ class _DelayedBar:
     def show(self) -> None:
         # Imported here because rich takes longer to load than most commands run.
         from rich.console import Console
-        from rich.progress import Progress
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+        )
 
-        bar = Progress(*_columns(is_counted=self._is_counted), console=Console(stderr=True))
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            *([MofNCompleteColumn()] if self._is_counted else []),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]} {task.fields[note]}"),
+            console=Console(stderr=True),
+        )
         with self._lock:
             task = bar.add_task(self._description, total=self._total, left="", note="")
             self._shown = (bar, task)
@@ -389,28 +400,11 @@ class _Plan:
         self._advance.to(share, description, left)
 
 
-class _Part:
-    """One map of a plan."""
-
+class _Part(_Silent):
     def __init__(self, plan: _Plan, description: str) -> None:
         self._plan = plan
         self._description = description
 
+    @override
     def __call__(self, count: int, /) -> None:
         self._plan.add(self._description, count)
-
-    def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
-        return
-
-    def say(self, _sentence: str, /) -> None:
-        return
-
-
-def _columns(*, is_counted: bool) -> tuple["ProgressColumn", ...]:
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-
-    counted = (MofNCompleteColumn(),) if is_counted else ()
-    told = TextColumn("{task.fields[left]} {task.fields[note]}")
-    return (
-        TextColumn("{task.description}"), BarColumn(), *counted, TimeElapsedColumn(), told
-    )  # fmt: skip

@@ -4,11 +4,12 @@ import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
+
+from typing_extensions import override
 
 from identknee.runs.errors import InputError
 from identknee.runs.executors import Executor, WorkerTerminated, serial
@@ -18,9 +19,32 @@ from identknee.runs.record import versions
 
 WAIT_S = 10.0
 _ANEW = "Remove the file and start again, or choose another folder with --out."
+_IN_USE = (
+    "another run is writing to this file",
+    "Wait for it to end, or choose another folder with --out.",
+)
+_DAMAGED = ("this is not a store of finished work, or it is damaged ({})", _ANEW)
+_FORBIDDEN = (
+    "it may not be written to ({})",
+    "Choose another folder with --out, or change the permissions.",
+)
+# What went wrong, and the remedy, by SQLite's code.
+_EXPLANATIONS = {
+    sqlite3.SQLITE_FULL: (
+        "the disk is full",
+        "Free some space and give the same command again to resume.",
+    ),
+    sqlite3.SQLITE_BUSY: _IN_USE,
+    sqlite3.SQLITE_LOCKED: _IN_USE,
+    sqlite3.SQLITE_NOTADB: _DAMAGED,
+    sqlite3.SQLITE_CORRUPT: _DAMAGED,
+    sqlite3.SQLITE_READONLY: _FORBIDDEN,
+    sqlite3.SQLITE_CANTOPEN: _FORBIDDEN,
+    sqlite3.SQLITE_PERM: _FORBIDDEN,
+}
 
 
-class Store:
+class Store(AbstractContextManager["Store"]):
     """A table from keys to JSON values in one SQLite file that outlives a crash.
 
     Each `put_many` is one transaction: after a kill or a power cut the file holds all of a batch or
@@ -116,15 +140,8 @@ class Store:
         """Close the file; what was put is on disk already."""
         self._connection.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    @override
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @contextmanager
@@ -135,36 +152,17 @@ class Store:
         except UnicodeDecodeError as error:
             raise InputError(self.path, "", "its text is damaged", _ANEW) from error
         except sqlite3.Error as error:
-            why, remedy = _explanation(error)
-            raise InputError(self.path, "", why, remedy) from error
+            code = getattr(error, "sqlite_errorcode", None)
+            why, remedy = _EXPLANATIONS.get(
+                -1 if code is None else code & 0xFF,
+                ("it cannot be used ({})", "Remove the file and start again."),
+            )
+            raise InputError(self.path, "", why.format(error), remedy) from error
 
 
 def _checksum(key: str, text: str) -> str:
     # A damaged text may hold half of a surrogate pair.
     return digest(f"{key} {text}".encode("utf-8", "surrogatepass"))
-
-
-def _explanation(error: sqlite3.Error) -> tuple[str, str]:
-    code = getattr(error, "sqlite_errorcode", None)
-    primary = None if code is None else code & 0xFF
-    if primary == sqlite3.SQLITE_FULL:
-        return "the disk is full", "Free some space and give the same command again to resume."
-    if primary in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
-        return (
-            "another run is writing to this file",
-            "Wait for it to end, or choose another folder with --out.",
-        )
-    if primary in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:
-        return (
-            f"this is not a store of finished work, or it is damaged ({error})",
-            _ANEW,
-        )
-    if primary in {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM}:
-        return (
-            f"it may not be written to ({error})",
-            "Choose another folder with --out, or change the permissions.",
-        )
-    return f"it cannot be used ({error})", "Remove the file and start again."
 
 
 STORE_FORMAT = 1
@@ -279,7 +277,9 @@ def resumable_map(
     done = set() if store is None else store.keys()
     results = {key: store.get(key) for key in keys if store is not None and key in done}
     missing = [index for index, key in enumerate(keys) if key not in results]
-    fresh = _computed(function, [items[index] for index in missing], executor)
+    waiting, task = [items[index] for index in missing], partial(_plain_result, function)
+    waves = (waiting[first : first + WAVE] for first in range(0, len(waiting), WAVE))
+    fresh = (result for wave in waves for result in executor.map(task, wave))
     bar = progress_bar(description, len(items), before=len(results))
     with bar as advance, _Commits(store) as commits:
         for index, result in zip(missing, _explained(fresh, store), strict=True):
@@ -305,7 +305,7 @@ def json_round_trip(value: Any) -> Any:
     return json.loads(json.dumps(plain(value, keep_nonfinite=True)))
 
 
-class _Commits:
+class _Commits(AbstractContextManager["_Commits"]):
     """Puts results into a store about once a second, and the rest on leaving, come what may."""
 
     def __init__(self, store: Store | None) -> None:
@@ -313,9 +313,7 @@ class _Commits:
         self._waiting: dict[str, Any] = {}
         self._last = time.monotonic()
 
-    def __enter__(self) -> "_Commits":
-        return self
-
+    @override
     def __exit__(self, *_: object) -> None:
         self._commit()
 
@@ -329,13 +327,6 @@ class _Commits:
             self._store.put_many({**self._waiting, SPENT: self._store.seconds})
         self._waiting = {}
         self._last = time.monotonic()
-
-
-def _computed(
-    function: Callable[[Any], Any], items: Sequence[Any], executor: Executor
-) -> Iterator[Any]:
-    for first in range(0, len(items), WAVE):
-        yield from executor.map(partial(_plain_result, function), items[first : first + WAVE])
 
 
 def _plain_result(function: Callable[[Any], Any], item: Any) -> Any:

@@ -72,9 +72,12 @@ def amplitude_label(name: str) -> str:
     >>> amplitude_label("medial_N_per_mm"), amplitude_label("offset_deg"), amplitude_label("gain")
     ('medial [N/mm]', 'offset [deg]', 'gain')
     """
-    words, per, below = name.partition("_per_")
-    plain = label(words)
-    return f"{plain.removesuffix(']')}/{UNITS.get(below, below)}]" if per else plain
+    above, per, below = name.partition("_per_")
+    if not per:
+        return label(name)
+    words, _, unit = above.rpartition("_")
+    words = words.replace(".", " ").replace("_", " ")
+    return f"{words} [{UNITS.get(unit, unit)}/{UNITS.get(below, below)}]"
 
 
 def unit_of(name: str) -> str:

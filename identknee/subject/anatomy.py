@@ -11,9 +11,7 @@ import numpy as np
 
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.surface import Surface
 
 CompartmentSide = Literal["medial", "lateral"]
@@ -114,17 +112,6 @@ class Anatomy:
         return self.medial, self.lateral
 
 
-@declared
-class MeniscusSpring:
-    """Where a meniscus ties a condyle to its plateau, in the common frame of the scanned pose."""
-
-    side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
-    femur: Array = entry("Centre of the condyle [mm], shape ``(3,)``")
-    tibia: Array = entry("Centre of the plateau [mm], shape ``(3,)``")
-    anterior: Array = entry("Unit vector of the tibia along which it is sheared, shape ``(3,)``")
-    lateral: Array = entry("The other such vector")
-
-
 def anatomy(knee: Knee) -> Anatomy:
     """Anatomical sites from a knee's surfaces, frames and insertions.
 
@@ -154,7 +141,7 @@ def anatomy(knee: Knee) -> Anatomy:
     >>> found.lateral_collateral, found.posterior_cruciate
     ('LCL', 'PCL')
     """
-    across = knee.tibia_frame.axes[2]
+    anterior, _, across = knee.tibia_frame.axes
     size = float(
         ((knee.tibia[1].vertices @ across).max() - (knee.tibia[0].vertices @ across).min())
         / TYPICAL_WIDTH
@@ -162,8 +149,16 @@ def anatomy(knee: Knee) -> Anatomy:
     plateaus = np.array([x.centroid for x in knee.tibia])
     centres, radii = zip(*(_condyle(knee, sign, plateaus) for sign in (-1.0, 1.0)), strict=True)
     roles = _roles(knee, np.array(centres), plateaus, size)
-    collaterals = [_line(knee, roles[x]) for x in ("medial_collateral", "lateral_collateral")]
-    epicondyles = _epicondyles(knee, np.array(centres), collaterals, size)
+    names = roles["medial_collateral"], roles["lateral_collateral"]
+    collaterals = [None if x is None else knee.ligament(x) for x in names]
+    # Points of the flexion axis at the width of the femur.
+    axis = centres[1] - centres[0]
+    axis = axis / np.linalg.norm(axis)
+    along, epicondyles = knee.femur.vertices @ axis, []
+    for sign, centre, own in zip((-1.0, 1.0), centres, collaterals, strict=True):
+        width = sign * (sign * along).max() + sign * BEYOND_CARTILAGE * size
+        width = width if own is None else own.femur @ axis
+        epicondyles.append(centre + (width - centre @ axis) * axis)
     sides: tuple[CompartmentSide, CompartmentSide] = ("medial", "lateral")
     medial, lateral = (
         Compartment(
@@ -179,7 +174,10 @@ def anatomy(knee: Knee) -> Anatomy:
             ),
             plateau_centre=sheet.centroid,
             tibia=sheet,
-            **_margins(sheet, knee.tibia_frame, sign),
+            anterior_margin=_furthest(sheet, anterior),
+            posterior_margin=_furthest(sheet, -anterior),
+            outer_margin=_furthest(sheet, sign * across),
+            inner_margin=_furthest(sheet, -sign * across),
         )
         for side, sign, centre, radius, epicondyle, own, sheet in zip(
             sides, (-1.0, 1.0), centres, radii, epicondyles, collaterals, knee.tibia, strict=True
@@ -200,25 +198,9 @@ def anatomy(knee: Knee) -> Anatomy:
     )
 
 
-def meniscus_springs(knee: Knee) -> tuple[MeniscusSpring, ...]:
-    """Where springs stand for the menisci, medial and lateral."""
-    anterior, _, lateral = knee.tibia_frame.axes
-    return tuple(
-        MeniscusSpring(
-            side=x.side,
-            femur=x.condyle_centre,
-            tibia=x.plateau_centre,
-            anterior=anterior,
-            lateral=lateral,
-        )
-        for x in anatomy(knee).compartments
-    )
-
-
 def shifted(frame: Frame, offset: tuple[float, float, float], size: float) -> Array:
     """The vector ``(anterior, superior, lateral)`` [mm] of a frame times `size`, ``(3,)``."""
-    vector: Array = size * np.array(offset) @ frame.axes
-    return vector
+    return np.asarray(size * np.array(offset) @ frame.axes)
 
 
 def rim_point(compartment: Compartment, frame: Frame, angle: float) -> Array:
@@ -241,8 +223,7 @@ def rim_point(compartment: Compartment, frame: Frame, angle: float) -> Array:
     # By distance rather than by open edges: a surface may be closed or have holes.
     exponent = away / SOFT_ANGLE**2 + np.linalg.norm(local, axis=1) / SOFT_RADIUS
     weights = np.exp(exponent - exponent.max())
-    point: Array = weights @ vertices / weights.sum()
-    return point
+    return np.asarray(weights @ vertices / weights.sum())
 
 
 def _condyle(knee: Knee, sign: float, plateaus: Array) -> tuple[Array, float]:
@@ -312,42 +293,9 @@ def _roles(knee: Knee, condyles: Array, plateaus: Array, size: float) -> dict[st
     }
 
 
-def _line(knee: Knee, name: str | None) -> Ligament | None:
-    return None if name is None else knee.ligament(name)
-
-
-def _epicondyles(
-    knee: Knee, condyles: Array, collaterals: list[Ligament | None], size: float
-) -> tuple[Array, Array]:
-    """Medial and lateral point [mm] of the flexion axis at the width of the femur."""
-    axis = condyles[1] - condyles[0]
-    axis = axis / np.linalg.norm(axis)
-    along = knee.femur.vertices @ axis
-
-    def at(sign: float, centre: Array, own: Ligament | None) -> Array:
-        width = sign * (sign * along).max() + sign * BEYOND_CARTILAGE * size
-        if own is not None:
-            width = own.femur @ axis
-        point: Array = centre + (width - centre @ axis) * axis
-        return point
-
-    return at(-1.0, condyles[0], collaterals[0]), at(1.0, condyles[1], collaterals[1])
-
-
-def _margins(sheet: Surface, frame: Frame, outward: float) -> dict[str, Array]:
-    anterior, _, lateral = frame.axes
-    return {
-        "anterior_margin": _furthest(sheet, anterior),
-        "posterior_margin": _furthest(sheet, -anterior),
-        "outer_margin": _furthest(sheet, outward * lateral),
-        "inner_margin": _furthest(sheet, -outward * lateral),
-    }
-
-
 def _furthest(sheet: Surface, direction: Array) -> Array:
     """Where a surface reaches furthest along a unit vector [mm], between equally far vertices."""
     reach = sheet.vertices @ direction
     weights = np.exp((reach - reach.max()) / (SOFT_SHARE * np.ptp(reach)))
     mean = weights @ sheet.vertices / weights.sum()
-    point: Array = mean + (reach.max() - mean @ direction) * direction
-    return point
+    return np.asarray(mean + (reach.max() - mean @ direction) * direction)

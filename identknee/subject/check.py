@@ -12,16 +12,14 @@ from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, by_severity, finding
-from identknee.subject import check as sheets
-from identknee.subject.frames import (
-    Frame,
+from identknee.subject.knee import (
+    Knee,
+    Ligament,
     angle_between,
     ankle_centre,
     frames_from_landmarks,
     joint_centre,
 )
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
 # Lengths in mm below which a knee's dimensions can only be metres.
@@ -119,22 +117,18 @@ def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
 
 
 def _metres(knee: Knee) -> Iterator[GeometryFinding]:
-    for name, surface in _surfaces(knee):
-        size = sheets.extent(surface)
-        if size < METRES:
-            sentence = f"The surface is only {size:.3g} mm across; lengths are in mm."
-            yield geometry_finding("in-metres", name, sentence, {"size_mm": size})
-    for ligament in knee.ligaments:
-        size = ligament.length
-        if size < METRES:
-            sentence = f"It is only {size:.3g} mm long; lengths are in mm."
-            yield geometry_finding("in-metres", _of(ligament), sentence, {"size_mm": size})
     apart = [
         float(np.linalg.norm(a.position - b.position)) for a, b in combinations(knee.landmarks, 2)
     ]
-    if apart and max(apart) < LEG_IN_METRES:
-        sentence = f"They are at most {max(apart):.3g} mm apart; lengths are in mm."
-        yield geometry_finding("in-metres", "landmarks", sentence, {"size_mm": max(apart)})
+    sizes = [
+        *((x, extent(y), METRES, "The surface is only {} mm across") for x, y in _surfaces(knee)),
+        *((_of(x), x.length, METRES, "It is only {} mm long") for x in knee.ligaments),
+        ("landmarks", max(apart, default=np.inf), LEG_IN_METRES, "They are at most {} mm apart"),
+    ]
+    for where, size, least, words in sizes:
+        if size < least:
+            sentence = f"{words.format(f'{size:.3g}')}; lengths are in mm."
+            yield geometry_finding("in-metres", where, sentence, {"size_mm": size})
 
 
 def _of(ligament: Ligament) -> str:
@@ -158,7 +152,14 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
     other = "left" if knee.side == "right" else "right"
     medial, lateral = knee.tibia
     across = (lateral.centroid - medial.centroid) @ knee.tibia_frame.axes[2]
-    if _exchanged_epicondyles(knee):
+    is_upturned = _is_anterior_upturned(knee)
+    known = {x.name: x.position for x in knee.landmarks}
+    is_against = False
+    if {"medial_epicondyle", "lateral_epicondyle"} <= set(known):
+        line = known["lateral_epicondyle"] - known["medial_epicondyle"]
+        is_against = bool(line @ (lateral.centroid - medial.centroid) < 0.0)
+    # The epicondyles, and not the files of the plateaus, are the wrong way round.
+    if is_against and is_upturned:
         yield geometry_finding(
             "epicondyles-exchanged",
             "landmarks",
@@ -175,7 +176,7 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
             remedy=f'Write side = "{other}" if it is a {other} knee; else exchange the two files '
             "or correct the axes of the tibial frame.",
         )
-    elif _is_anterior_upturned(knee):
+    elif is_upturned:
         yield geometry_finding(
             "wrong-side",
             "side",
@@ -184,17 +185,6 @@ def _wrong_side(knee: Knee) -> Iterator[GeometryFinding]:
             remedy=f'Write side = "{other}" if it is a {other} knee; else exchange the medial and '
             "lateral landmarks or turn the femoral axes, x forwards and z to the subject's right.",
         )
-
-
-def _exchanged_epicondyles(knee: Knee) -> bool:
-    """Whether the epicondyles, and not the files of the plateaus, are the wrong way round."""
-    known = {x.name: x.position for x in knee.landmarks}
-    if not {"medial_epicondyle", "lateral_epicondyle"} <= set(known):
-        return False
-    medial, lateral = knee.tibia
-    across = known["lateral_epicondyle"] - known["medial_epicondyle"]
-    is_against = bool(across @ (lateral.centroid - medial.centroid) < 0.0)
-    return is_against and _is_anterior_upturned(knee)
 
 
 def _is_anterior_upturned(knee: Knee) -> bool:
@@ -213,7 +203,7 @@ def _is_anterior_upturned(knee: Knee) -> bool:
 
 def _upward_facing(surface: Surface, others: Iterable[Surface], superior: Array) -> float:
     """Mean upward component of a surface's normals where it is closest to the others."""
-    return float(np.mean([sheets.facing_normals(surface, x) @ superior for x in others]))
+    return float(np.mean([facing_normals(surface, x) @ superior for x in others]))
 
 
 def _flipped_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
@@ -232,28 +222,37 @@ def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
         sentence = "The surface is closed: it has a bone side as well."
         yield geometry_finding("surface-closed", name, sentence)
-    if n := sheets.count_inconsistent_edges(surface):
-        sentence = f"At {n} edges neighbouring triangles face opposite ways."
-        yield geometry_finding("winding-inconsistent", name, sentence, {"n": n})
-    if n := sheets.count_shared_edges(surface):
-        sentence = f"{n} edges belong to more than two triangles."
-        yield geometry_finding("edges-shared", name, sentence, {"n": n})
-    if n := sheets.count_near_duplicates(surface, NEAR_DUPLICATE):
-        sentence = f"{n} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but not the same."
-        yield geometry_finding("vertices-near-duplicate", name, sentence, {"n": n})
-    if n := sheets.count_slivers(surface, SLIVER):
-        sentence = f"{n} triangles are degenerate: they have hardly any area."
-        yield geometry_finding("triangles-degenerate", name, sentence, {"n": n})
+    counted = (
+        ("winding-inconsistent", count_inconsistent_edges(surface)),
+        ("edges-shared", count_shared_edges(surface)),
+        ("vertices-near-duplicate", count_near_duplicates(surface, NEAR_DUPLICATE)),
+        ("triangles-degenerate", count_slivers(surface, SLIVER)),
+    )
+    for code, n in counted:
+        if n:
+            yield geometry_finding(code, name, _COUNTED[code].format(n), {"n": n})
+
+
+_COUNTED = {
+    "winding-inconsistent": "At {} edges neighbouring triangles face opposite ways.",
+    "edges-shared": "{} edges belong to more than two triangles.",
+    "vertices-near-duplicate": f"{{}} pairs of vertices are closer than {NEAR_DUPLICATE:g} mm but "
+    "not the same.",
+    "triangles-degenerate": "{} triangles are degenerate: they have hardly any area.",
+}
 
 
 def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
     for name, surface in _surfaces(knee)[1:]:
-        gap = sheets.gap_between(knee.femur, surface)
+        gap = gap_between(knee.femur, surface)
         if gap > WIDEST_GAP:
             sentence = f"In the scanned pose it is {gap:.1f} mm away from the femur."
             yield geometry_finding("surfaces-apart", name, sentence, {"gap_mm": gap})
             continue
-        depth = _depth(knee, surface)
+        if knee.femur_distance is None:
+            depth = overlap_of(surface, knee.femur)
+        else:
+            depth = max(float(-knee.femur_distance(surface.vertices).min()), 0.0)
         if depth > DEEPEST_OVERLAP:
             sentence = f"In the scanned pose it reaches {depth:.1f} mm into the femur."
             yield geometry_finding("surfaces-overlap", name, sentence, {"depth_mm": depth})
@@ -262,13 +261,6 @@ def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
             sentence = f"In the scanned pose it {state}."
             values = {"gap_mm": gap, "depth_mm": depth}
             yield geometry_finding("surface-contact", name, sentence, values)
-
-
-def _depth(knee: Knee, surface: Surface) -> float:
-    """How far a tibial surface reaches into the femur [mm]."""
-    if knee.femur_distance is not None:
-        return max(float(-knee.femur_distance(surface.vertices).min()), 0.0)
-    return sheets.overlap_of(surface, knee.femur)
 
 
 def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
@@ -292,7 +284,7 @@ def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
 
 
 def _frame_findings(knee: Knee) -> Iterator[GeometryFinding]:
-    size = sheets.extent(knee.femur)
+    size = extent(knee.femur)
     least, most = FEMUR_EXTENT
     if not least <= size <= most:
         sentence = f"The surface is {size:.0f} mm across, unlike the articular surface of a knee."
@@ -329,22 +321,16 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
     try:
         defined = frames_from_landmarks(places)
     except ValueError:
-        yield from _long_axis_angles(places, frames)
+        # Long axes only; frame origins replace missing epicondyles.
+        centre, ankle = joint_centre(places), ankle_centre(places)
+        for bone, far, sign in (("femur", places.get("hip_centre"), 1.0), ("tibia", ankle, -1.0)):
+            if far is not None:
+                near = frames[bone].origin if centre is None else centre
+                yield bone, "superior", angle_between(frames[bone].axes[1], sign * (far - near))
         return
     for (bone, given), made in zip(frames.items(), defined, strict=True):
         for row, axis in ((1, "superior"), (2, "lateral")):
             yield bone, axis, angle_between(given.axes[row], made.axes[row])
-
-
-def _long_axis_angles(
-    places: dict[str, Array], frames: dict[str, Frame]
-) -> Iterator[tuple[str, str, float]]:
-    """Long axes only; frame origins replace missing epicondyles."""
-    centre, ankle = joint_centre(places), ankle_centre(places)
-    for bone, far, sign in (("femur", places.get("hip_centre"), 1.0), ("tibia", ankle, -1.0)):
-        if far is not None:
-            near = frames[bone].origin if centre is None else centre
-            yield bone, "superior", angle_between(frames[bone].axes[1], sign * (far - near))
 
 
 # Triangles of the closest tenth tell how two surfaces face each other where they are in contact.

@@ -1,8 +1,8 @@
 """The named subjects: knees that come with identknee, each with its source and licence."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import closest, suggestion
 from identknee.runs.files import PathLike
 
@@ -10,29 +10,18 @@ FOLDER = Path(__file__).parent / "knees"
 REFERENCE = "reference"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class NamedSubject:
-    """A knee that comes with identknee.
+    """A knee that comes with identknee."""
 
-    Attributes
-    ----------
-    name
-        The word that stands for it where a subject folder is wanted.
-    file
-        Its subject file; None where closed formulas make it.
-    opensim
-        The OpenSim model that it was taken from; None where there is none.
-    source
-        Where the knee comes from, as it is to be cited.
-    licence
-        Under which licence, as an SPDX expression.
-    """
-
-    name: str
-    file: Path | None
-    opensim: Path | None = None
-    source: str
-    licence: str
+    name: str = entry("The word that stands for it where a subject folder is wanted")
+    file: Path | None = entry("Its subject file; None where closed formulas make it")
+    opensim: Path | None = entry(
+        "The OpenSim model that it was taken from; None where there is none",
+        default=None,
+    )
+    source: str = entry("Where the knee comes from, as it is to be cited")
+    licence: str = entry("Under which licence, as an SPDX expression")
 
 
 _LENHART = (

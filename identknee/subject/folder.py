@@ -5,7 +5,6 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -13,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
-from identknee.runs.errors import InputError
+from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.schema import (
     Fault,
@@ -28,14 +27,21 @@ from identknee.runs.schema import (
 )
 from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
-from identknee.subject.frames import Frame, frames_from_landmarks
-from identknee.subject.knee import Knee, KnownPose, Landmark
-from identknee.subject.ligament import Ligament, LigamentGroup
+from identknee.subject.knee import (
+    EffectChoice,
+    Frame,
+    Knee,
+    KnownPose,
+    Landmark,
+    Ligament,
+    LigamentGroup,
+    StatedPrior,
+    Uncertainty,
+    frames_from_landmarks,
+)
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import read_surface, write_surface
-from identknee.subject.uncertainty import StatedPrior, Uncertainty
 
 FORMAT = 1
 
@@ -477,209 +483,162 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 
 
 def _read(file: Path) -> Knee:
-    knee = _knee(file, read_tables(file))
-    for finding in fatal_geometry_findings(knee):
-        raise InputError(file, finding.where, finding.sentence, finding.remedy)
-    return knee
-
-
-def _knee(file: Path, tables: SubjectTables) -> Knee:
-    landmarks = tuple(
-        Landmark(name=x, position=np.array(position)) for x, position in tables.places.items()
-    )
-    femur_frame, tibia_frame = _frames(file, tables, landmarks)
-    surfaces = tuple(read_surface(file.parent / getattr(tables.surfaces, x)) for x in SURFACES)
-    ligaments = [_ligament(file, x) for x in tables.ligaments]
-    effects = [_effect(file, x) for x in tables.effects]
-    groups = [
-        _made(
-            file, f"group {x.name}", partial(LigamentGroup, name=x.name, members=tuple(x.members))
+    tables = read_tables(file)
+    landmarks = {x: np.array(position) for x, position in tables.places.items()}
+    places = tuple(Landmark(name=x, position=position) for x, position in landmarks.items())
+    if tables.frames is None:
+        is_left = tables.side == "left"
+        frames = _made(file, "[landmarks]", frames_from_landmarks, landmarks, is_left=is_left)
+    else:
+        femur, tibia = (
+            _made(
+                file,
+                f"[frames.{bone}]",
+                Frame,
+                origin=np.array(own.origin),
+                axes=np.array(own.axes),
+            )
+            for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
         )
+        frames = femur, tibia
+    surfaces = tuple(read_surface(file.parent / getattr(tables.surfaces, x)) for x in SURFACES)
+    ligaments = [
+        _made(
+            file,
+            f"ligament {x.name}",
+            Ligament,
+            name=x.name,
+            femur=np.array(x.femur),
+            tibia=np.array(x.tibia),
+            stiffness_kN=x.stiffness_kN,
+            reference_strain_pct=x.reference_strain_pct,
+        )
+        for x in tables.ligaments
+    ]
+    effects = [
+        _made(
+            file,
+            f"effect {x.name}",
+            EffectChoice,
+            name=x.name,
+            values=x.values,
+            fixed=tuple(x.fixed),
+            lines=tuple((np.array(line.femur), np.array(line.tibia)) for line in x.lines),
+            stiffness_sd_kN=x.stiffness_sd_kN,
+            site_sd_mm=x.site_sd_mm,
+        )
+        for x in tables.effects
+    ]
+    groups = [
+        _made(file, f"group {x.name}", LigamentGroup, name=x.name, members=tuple(x.members))
         for x in tables.groups
     ]
     poses = tuple(
         KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
         for x in tables.poses
     )
+    stated = tables.uncertainty.model_dump()
     knee = _made(
         file,
         "",
-        lambda: Knee(
-            name=tables.name,
-            side=tables.side,
-            description=tables.description,
-            femur=surfaces[0],
-            tibia=surfaces[1:],
-            ligaments=tuple(ligaments),
-            femur_frame=femur_frame,
-            tibia_frame=tibia_frame,
-            landmarks=landmarks,
-            effects=tuple(effects),
-            uncertainty=_uncertainty(file, tables),
-            priors=_priors(file, tables),
-            bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
-            groups=tuple(groups),
-            poses=poses,
-            fitted=read_fitted(file.parent) if file.name == FILE else {},
-            contact_rounding_mm=tables.contact_rounding_mm,
-        ),
+        Knee,
+        name=tables.name,
+        side=tables.side,
+        description=tables.description,
+        femur=surfaces[0],
+        tibia=surfaces[1:],
+        ligaments=tuple(ligaments),
+        femur_frame=frames[0],
+        tibia_frame=frames[1],
+        landmarks=places,
+        effects=tuple(effects),
+        uncertainty=_made(file, "[uncertainty]", Uncertainty, **stated),
+        priors={
+            name: _made(file, f"prior of {name}", StatedPrior, **prior.model_dump())
+            for name, prior in tables.priors.items()
+        },
+        bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
+        groups=tuple(groups),
+        poses=poses,
+        fitted=read_fitted(file.parent) if file.name == FILE else {},
+        contact_rounding_mm=tables.contact_rounding_mm,
     )
-    return knee.mirrored() if tables.side == "left" else knee
+    knee = knee.mirrored() if tables.side == "left" else knee
+    for finding in fatal_geometry_findings(knee):
+        raise InputError(file, finding.where, finding.sentence, finding.remedy)
+    return knee
 
 
-def _frames(
-    file: Path, tables: SubjectTables, landmarks: tuple[Landmark, ...]
-) -> tuple[Frame, Frame]:
-    if tables.frames is not None:
-        femur, tibia = (
-            _made(
-                file,
-                f"[frames.{bone}]",
-                partial(Frame, origin=np.array(own.origin), axes=np.array(own.axes)),
-            )
-            for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
-        )
-        return femur, tibia
-    positions = {x.name: x.position for x in landmarks}
-    is_left = tables.side == "left"
-    return _made(file, "[landmarks]", lambda: frames_from_landmarks(positions, is_left=is_left))
-
-
-def _ligament(file: Path, table: LigamentTable) -> Ligament:
-    return _made(
-        file,
-        f"ligament {table.name}",
-        lambda: Ligament(
-            name=table.name,
-            femur=np.array(table.femur),
-            tibia=np.array(table.tibia),
-            stiffness_kN=table.stiffness_kN,
-            reference_strain_pct=table.reference_strain_pct,
-        ),
-    )
-
-
-def _effect(file: Path, table: EffectTable) -> EffectChoice:
-    return _made(
-        file,
-        f"effect {table.name}",
-        lambda: EffectChoice(
-            name=table.name,
-            values=table.values,
-            fixed=tuple(table.fixed),
-            lines=tuple((np.array(x.femur), np.array(x.tibia)) for x in table.lines),
-            stiffness_sd_kN=table.stiffness_sd_kN,
-            site_sd_mm=table.site_sd_mm,
-        ),
-    )
-
-
-def _uncertainty(file: Path, tables: SubjectTables) -> Uncertainty:
-    stated = tables.uncertainty.model_dump()
-    return _made(file, "[uncertainty]", lambda: Uncertainty(**stated))
-
-
-def _priors(file: Path, tables: SubjectTables) -> dict[str, StatedPrior]:
-    return {
-        name: _made(file, f"prior of {name}", partial(StatedPrior, **prior.model_dump()))
-        for name, prior in tables.priors.items()
-    }
-
-
-def _made(file: Path, place: str, make: Callable[[], Made]) -> Made:
-    """What `make` makes; the values it refuses are a mistake at a place of the file.
-
-    A message "what is wrong; what to do" is told as sentence and remedy.
-    """
+def _made(file: Path, place: str, make: Callable[..., Made], /, *values: Any, **named: Any) -> Made:
+    """What `make` makes of values; those it refuses are a mistake at a place of the file."""
     try:
-        return make()
+        return make(*values, **named)
     except InputError:
         raise
     except ValueError as error:
-        why, _, remedy = str(error).partition("; ")
-        remedy = f"{remedy[:1].upper()}{remedy[1:] or 'Correct the value'}."
-        raise InputError(file, place, why, remedy) from error
+        why, remedy = str(error), "correct the value"
+        if isinstance(error, ValueRefused):
+            why, remedy = error.why, error.remedy
+        raise InputError(file, place, why, f"{capitalised(remedy)}.") from error
 
 
 def _text(knee: Knee, surfaces: Iterable[str]) -> str:
     """The subject.toml of a knee whose surfaces are files of these names."""
-    rounding = float(knee.contact_rounding_mm)
     lines = [
         "# A subject of identknee. Lengths in mm; frames: x anterior, y superior, z to the right.",
-        f"format = {FORMAT}",
-        f"name = {_toml(knee.name)}",
-        f"side = {_toml(knee.side)}",
-        f"description = {_toml(knee.description)}",
-        *([f"contact_rounding_mm = {_toml(rounding)}"] if rounding else []),
-        "",
-        "[surfaces]",
-        *(f"{key} = {_toml(name)}" for key, name in zip(SURFACES, surfaces, strict=True)),
+        *_rows(
+            format=FORMAT,
+            name=knee.name,
+            side=knee.side,
+            description=knee.description,
+            contact_rounding_mm=float(knee.contact_rounding_mm) or None,
+        ),
+        *("", "[surfaces]", *_rows(**dict(zip(SURFACES, surfaces, strict=True)))),
     ]
     for bone, frame in (("femur", knee.femur_frame), ("tibia", knee.tibia_frame)):
-        lines += ["", f"[frames.{bone}]"]
-        lines += [f"origin = {_toml(frame.origin.tolist())}"]
-        lines += [f"axes = {_toml(frame.axes.tolist())}"]
+        lines += ["", f"[frames.{bone}]", *_rows(origin=frame.origin, axes=frame.axes)]
     if knee.landmarks:
-        lines += ["", "[landmarks]"]
-        lines += [f"{x.name} = {_toml(x.position.tolist())}" for x in knee.landmarks]
-    for ligament in knee.ligaments:
-        lines += [
-            "",
-            "[[ligaments]]",
-            f"name = {_toml(ligament.name)}",
-            f"femur = {_toml(ligament.femur.tolist())}",
-            f"tibia = {_toml(ligament.tibia.tolist())}",
-            f"stiffness_kN = {_toml(float(ligament.stiffness_kN))}",
-            f"reference_strain_pct = {_toml(float(ligament.reference_strain_pct))}",
-        ]
+        lines += ["", "[landmarks]", *_rows(**{x.name: x.position for x in knee.landmarks})]
+    for x in knee.ligaments:
+        stiffness, strain = float(x.stiffness_kN), float(x.reference_strain_pct)
+        places = {"name": x.name, "femur": x.femur, "tibia": x.tibia}
+        lines += ["", "[[ligaments]]", *_rows(**places, stiffness_kN=stiffness)]
+        lines += _rows(reference_strain_pct=strain)
     if knee.effects:
         lines += ["", "# Amplitudes of effects are those of a right knee, whose z is lateral."]
     for effect in knee.effects:
-        lines += _effect_lines(effect)
-    return "\n".join([*lines, *_stated_lines(knee)]) + "\n"
-
-
-def _stated_lines(knee: Knee) -> list[str]:
-    """The stated uncertainty, priors and bounds of a subject."""
+        lines += ["", "[[effects]]", *_rows(name=effect.name, fixed=list(effect.fixed) or None)]
+        for name in ("stiffness_sd_kN", "site_sd_mm"):
+            sd = getattr(effect, name)
+            lines += _rows(**{name: None if sd is None else float(sd)})
+        if effect.values:
+            lines += ["[effects.values]", *_rows(**{_toml(k): x for k, x in effect.values.items()})]
+        for femur, tibia in effect.lines:
+            lines += ["[[effects.lines]]", *_rows(femur=femur, tibia=tibia)]
     stated = {x.name: getattr(knee.uncertainty, x.name) for x in fields(Uncertainty)}
-    numbers = [(name, x) for name, x in stated.items() if isinstance(x, float) and x > 0.0]
     spreads = stated["insertions_mm"]
-    lines = []
     if not knee.uncertainty.is_exact:
-        lines += ["", "[uncertainty]", *(f"{name} = {_toml(x)}" for name, x in numbers)]
-    if not isinstance(spreads, float):
-        for ligament, bones in spreads.items():
-            lines += [f"[uncertainty.insertions_mm.{_toml(ligament)}]"]
-            lines += [f"{bone} = {_toml(x)}" for bone, x in bones.items()]
+        numbers = {name: x for name, x in stated.items() if isinstance(x, float) and x > 0.0}
+        lines += ["", "[uncertainty]", *_rows(**numbers)]
+    for ligament, bones in () if isinstance(spreads, float) else spreads.items():
+        lines += [f"[uncertainty.insertions_mm.{_toml(ligament)}]", *_rows(**bones)]
     for name, prior in knee.priors.items():
-        given = {"sd": prior.sd, "log_sd": prior.log_sd, "center": prior.center}
         lines += ["", f"[priors.{_toml(name)}]"]
-        lines += [f"{key} = {_toml(x)}" for key, x in given.items() if x is not None]
+        lines += _rows(sd=prior.sd, log_sd=prior.log_sd, center=prior.center)
     for group in knee.groups:
-        lines += ["", "[[groups]]", f"name = {_toml(group.name)}"]
-        lines += [f"members = {_toml(list(group.members))}"]
+        lines += ["", "[[groups]]", *_rows(name=group.name, members=list(group.members))]
     for pose in knee.poses:
-        lines += ["", "[[poses]]", f"flexion_deg = {_toml(float(pose.flexion_deg))}"]
-        lines += [f"coordinates = {_toml(pose.coordinates.tolist())}"]
+        lines += ["", "[[poses]]", *_rows(flexion_deg=float(pose.flexion_deg))]
+        lines += _rows(coordinates=pose.coordinates)
     if knee.bounds:
-        lines += ["", "[bounds]"]
-        lines += [f"{_toml(name)} = {_toml(list(x))}" for name, x in knee.bounds.items()]
-    return lines
+        lines += ["", "[bounds]", *_rows(**{_toml(k): list(x) for k, x in knee.bounds.items()})]
+    return "\n".join(lines) + "\n"
 
 
-def _effect_lines(effect: EffectChoice) -> list[str]:
-    lines = ["", "[[effects]]", f"name = {_toml(effect.name)}"]
-    if effect.fixed:
-        lines.append(f"fixed = {_toml(list(effect.fixed))}")
-    sds = {"stiffness_sd_kN": effect.stiffness_sd_kN, "site_sd_mm": effect.site_sd_mm}
-    lines += [f"{key} = {_toml(float(sd))}" for key, sd in sds.items() if sd is not None]
-    if effect.values:
-        lines += ["[effects.values]"]
-        lines += [f"{_toml(name)} = {_toml(value)}" for name, value in effect.values.items()]
-    for femur, tibia in effect.lines:
-        lines += ["[[effects.lines]]", f"femur = {_toml(femur.tolist())}"]
-        lines += [f"tibia = {_toml(tibia.tolist())}"]
-    return lines
+def _rows(**values: Any) -> list[str]:
+    """A row of TOML for each value that is there."""
+    arrays = {k: x.tolist() if isinstance(x, np.ndarray) else x for k, x in values.items()}
+    return [f"{name} = {_toml(x)}" for name, x in arrays.items() if x is not None]
 
 
 def _toml(value: Any) -> str:

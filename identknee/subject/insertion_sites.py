@@ -25,8 +25,8 @@ References
 .. [8] Liu et al. (2010), J Orthop Surg Res 5, 69. https://doi.org/10.1186/1749-799X-5-69
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -100,7 +100,12 @@ def structure_sites(knee: Knee) -> dict[str, tuple[Site, ...]]:
     depth = _depth_below(knee, deepest)
 
     def clear(site: Site, outward: Array) -> Site:
-        return _cleared(site, outward, depth, deepest)
+        for _ in range(MOVES):
+            excess = depth(site) - deepest
+            if excess <= 0.0:
+                break
+            site = replace(site, femur=site.femur + excess * outward)
+        return site
 
     return {
         "anterolateral": (clear(_anterolateral(knee, found), lateral),),
@@ -209,8 +214,7 @@ def _below_rim(knee: Knee, found: Anatomy, side: Compartment, angle: float, dept
     anterior, superior, lateral = frame.axes
     away = np.cos(angle) * anterior + side.outward * np.sin(angle) * lateral
     drop = (side.plateau_centre - rim) @ superior - depth * size
-    place: Array = rim + BEYOND_RIM * size * away + drop * superior
-    return place
+    return np.asarray(rim + BEYOND_RIM * size * away + drop * superior)
 
 
 def _depth_below(knee: Knee, beside: float) -> Callable[[Site], float]:
@@ -235,16 +239,6 @@ def _depth_below(knee: Knee, beside: float) -> Callable[[Site], float]:
     return depth
 
 
-def _cleared(site: Site, outward: Array, depth: Callable[[Site], float], deepest: float) -> Site:
-    """The site, its femoral end moved along `outward` until the line is at most `deepest` deep."""
-    for _ in range(MOVES):
-        excess = depth(site) - deepest
-        if excess <= 0.0:
-            break
-        site = replace(site, femur=site.femur + excess * outward)
-    return site
-
-
 PlaceSide = Literal["medial", "central", "lateral"]
 Third = Literal["anterior", "middle", "posterior"]
 Name = TypeVar("Name", bound=str)
@@ -261,26 +255,22 @@ LEAST_SHARE = 0.01
 CENTRAL = 0.5
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Place:
-    """What a line of action is near to; shares sum to 1 but for those left out, largest first.
+    """What a line of action is near to; shares sum to 1 but for those left out, largest first."""
 
-    Attributes
-    ----------
-    shares
-        Names of structures and of the subject's own lines; ``"elsewhere"`` is what none of them
-        takes.
-    sides
-        Where the line crosses the level of the joint line: ``"medial"``, ``"central"`` or
-        ``"lateral"``.
-    thirds
-        Which third of the plateaus' length it crosses: ``"anterior"``, ``"middle"`` or
-        ``"posterior"``.
-    """
-
-    shares: tuple[tuple[str, float], ...]
-    sides: tuple[tuple[PlaceSide, float], ...]
-    thirds: tuple[tuple[Third, float], ...]
+    shares: tuple[tuple[str, float], ...] = entry(
+        'Names of structures and of the subject\'s own lines; ``"elsewhere"`` is what none of '
+        "them takes"
+    )
+    sides: tuple[tuple[PlaceSide, float], ...] = entry(
+        'Where the line crosses the level of the joint line: ``"medial"``, ``"central"`` or '
+        '``"lateral"``'
+    )
+    thirds: tuple[tuple[Third, float], ...] = entry(
+        'Which third of the plateaus\' length it crosses: ``"anterior"``, ``"middle"`` or '
+        '``"posterior"``'
+    )
 
     @property
     def sentence(self) -> str:
@@ -324,8 +314,12 @@ def name_of_place(knee: Knee, femur_points: ArrayLike, tibia_points: ArrayLike) 
     found = anatomy(knee)
     direction = (tibia - femur) / length[:, None]
     weights = {ELSEWHERE: np.full(len(femur), np.exp(-0.5 * UNNAMED**2))}
-    for name, middle, along in _named_lines(knee):
-        distance, angle = _apart(femur, direction, middle, along)
+    lines = [(x.name, x.femur, x.tibia) for x in knee.ligaments]
+    for name, sites in structure_sites(knee).items():
+        lines += [(name, x.femur, x.tibia) for x in sites]
+    for name, start, end in lines:
+        along = (end - start) / np.linalg.norm(end - start)
+        distance, angle = _apart(femur, direction, 0.5 * (start + end), along)
         far = (distance / (NEAR_DISTANCE * found.size)) ** 2 + (angle / NEAR_ANGLE) ** 2
         # A structure may have several lines, and a subject's own line its name.
         weights[name] = np.maximum(weights.get(name, 0.0), np.exp(-0.5 * far))
@@ -341,19 +335,6 @@ def name_of_place(knee: Knee, femur_points: ArrayLike, tibia_points: ArrayLike) 
 def _ranked(shares: dict[Name, float]) -> tuple[tuple[Name, float], ...]:
     order = sorted(shares, key=lambda x: (-shares[x], x))
     return tuple((x, shares[x]) for x in order if shares[x] >= LEAST_SHARE)
-
-
-def _named_lines(knee: Knee) -> Iterator[tuple[str, Array, Array]]:
-    """Name, middle [mm] and unit direction of every line that has a name."""
-    for ligament in knee.ligaments:
-        yield ligament.name, *_middle_and_direction(ligament.femur, ligament.tibia)
-    for name, sites in structure_sites(knee).items():
-        for site in sites:
-            yield name, *_middle_and_direction(site.femur, site.tibia)
-
-
-def _middle_and_direction(femur: Array, tibia: Array) -> tuple[Array, Array]:
-    return 0.5 * (femur + tibia), (tibia - femur) / np.linalg.norm(tibia - femur)
 
 
 def _apart(points: Array, directions: Array, middle: Array, along: Array) -> tuple[Array, Array]:
@@ -456,8 +437,28 @@ def insertion_surfaces(knee: Knee) -> tuple[InsertionPoints, InsertionPoints]:
     own_tibia = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
     condyles = np.array([x.condyle_centre for x in found.compartments])
     plateaus = np.array([x.plateau_centre for x in found.compartments])
-    femur = [*_femoral(knee, found), ("insertion", own_femur)]
-    tibia = [*_tibial(knee, found), ("insertion", own_tibia)]
+    femur = [("articular", _spread(knee.femur.vertices, ARTICULAR))]
+    tibia = []
+    for side in found.compartments:
+        femur += [
+            ("epicondyle", _epicondyle(knee, found, side)),
+            ("posterior condyle", _behind(knee, side)),
+            ("notch", _notch(knee, found, side)),
+        ]
+        for angle in RIM_ANGLES:
+            third = "anterior" if angle < 70.0 else "posterior" if angle > 110.0 else "middle"
+            tibia.append((f"{third} rim", _below(knee, found, side, np.radians(angle))))
+    around_fibula = [
+        shifted(knee.tibia_frame, (x, y, FIBULA_LEAN * max(y, 0.0)), found.size)
+        for x in FIBULA_X
+        for y in FIBULA_Y
+    ]
+    femur.append(("insertion", own_femur))
+    tibia += [
+        ("intercondylar", _between_plateaus(knee, found)),
+        ("fibular head", found.fibular_head + np.array(around_fibula)),
+        ("insertion", own_tibia),
+    ]
     return (
         _labelled(femur, condyles, knee.femur_frame.axes[2]),
         _labelled(tibia, plateaus, knee.tibia_frame.axes[2]),
@@ -465,38 +466,12 @@ def insertion_surfaces(knee: Knee) -> tuple[InsertionPoints, InsertionPoints]:
 
 
 def _labelled(parts: list[tuple[str, Array]], centres: Array, lateral: Array) -> InsertionPoints:
-    """All parts as one, each point with the side it lies on."""
     positions = np.concatenate([points for _, points in parts])
     return InsertionPoints(
         positions=positions,
         sides=tuple(sides_of(positions, centres, lateral)),
         regions=tuple(name for name, points in parts for _ in points),
     )
-
-
-def _femoral(knee: Knee, found: Anatomy) -> Iterator[tuple[str, Array]]:
-    yield "articular", _spread(knee.femur.vertices, ARTICULAR)
-    for side in found.compartments:
-        yield "epicondyle", _epicondyle(knee, found, side)
-        yield "posterior condyle", _behind(knee, side)
-        yield "notch", _notch(knee, found, side)
-
-
-def _tibial(knee: Knee, found: Anatomy) -> Iterator[tuple[str, Array]]:
-    frame, size = knee.tibia_frame, found.size
-    for side in found.compartments:
-        for angle in RIM_ANGLES:
-            third = "anterior" if angle < 70.0 else "posterior" if angle > 110.0 else "middle"
-            yield f"{third} rim", _below(knee, found, side, np.radians(angle))
-    yield "intercondylar", _between_plateaus(knee, found)
-    steps = np.array(
-        [
-            shifted(frame, (x, y, FIBULA_LEAN * max(y, 0.0)), size)
-            for x in FIBULA_X
-            for y in FIBULA_Y
-        ]
-    )
-    yield "fibular head", found.fibular_head + steps
 
 
 def _spread(points: Array, number: int) -> Array:
@@ -509,8 +484,7 @@ def _spread(points: Array, number: int) -> Array:
         chosen.append(int(np.argmax(np.round(distance, digits))))
         away = np.linalg.norm(points - points[chosen[-1]], axis=1)
         distance = away if len(chosen) == 1 else np.minimum(distance, away)
-    taken: Array = points[chosen]
-    return taken
+    return np.asarray(points[chosen])
 
 
 def _epicondyle(knee: Knee, found: Anatomy, side: Compartment) -> Array:
@@ -534,8 +508,7 @@ def _behind(knee: Knee, side: Compartment) -> Array:
     """The condyle's cylinder above and behind its cartilage."""
     angle, across = (x.ravel() for x in np.meshgrid(np.radians(REAR_ANGLES), REAR_ACROSS))
     steps = side.condyle_radius * np.c_[-np.sin(angle), -np.cos(angle), across]
-    points: Array = side.condyle_centre + steps @ knee.femur_frame.axes
-    return points
+    return np.asarray(side.condyle_centre + steps @ knee.femur_frame.axes)
 
 
 def _notch(knee: Knee, found: Anatomy, side: Compartment) -> Array:
@@ -551,8 +524,7 @@ def _notch(knee: Knee, found: Anatomy, side: Compartment) -> Array:
         np.arange(*NOTCH_X, SPACING) + 0.5 * SPACING, np.arange(*NOTCH_Y, SPACING) + 0.5 * SPACING
     )
     steps = np.c_[size * along.ravel(), size * up.ravel(), np.full(along.size, across)]
-    points: Array = middle + steps @ frame.axes
-    return points
+    return np.asarray(middle + steps @ frame.axes)
 
 
 def _below(knee: Knee, found: Anatomy, side: Compartment, angle: float) -> Array:
@@ -566,8 +538,7 @@ def _below(knee: Knee, found: Anatomy, side: Compartment, angle: float) -> Array
     depth = np.array(DEPTHS)[:, None]
     narrowing = 1.0 - (1.0 - NARROWEST) * depth / DEPTHS[-1]
     level = (rim - middle) @ superior - found.size * depth
-    points: Array = middle + narrowing * from_axis + level * superior
-    return points
+    return np.asarray(middle + narrowing * from_axis + level * superior)
 
 
 def _between_plateaus(knee: Knee, found: Anatomy) -> Array:
@@ -586,5 +557,4 @@ def _between_plateaus(knee: Knee, found: Anatomy) -> Array:
             own = knee.tibia_frame.axes @ (knee.ligament(name).tibia - plateaus.mean(axis=0))
             squares = ((steps - own)[:, [0, 2]] ** 2).sum(axis=1) / (SPACING * found.size) ** 2
             steps[:, 1] += np.exp(-0.5 * squares) * (own[1] - steps[:, 1])
-    points: Array = plateaus.mean(axis=0) + steps @ knee.tibia_frame.axes
-    return points
+    return np.asarray(plateaus.mean(axis=0) + steps @ knee.tibia_frame.axes)

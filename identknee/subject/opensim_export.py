@@ -14,15 +14,16 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.examples import opensim_file
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.opensim import (
     LIGAMENT_CLASS,
     MERGED,
+    MM_PER_M,
     TRANSITION_STRAIN,
     Bones,
+    Element,
     OsimLine,
+    OsimModel,
     bones_of,
     bundle_names,
     import_opensim,
@@ -31,7 +32,6 @@ from identknee.subject.opensim import (
     mesh_file,
     slack_length,
 )
-from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
 from identknee.subject.surface import write_surface
 
 # Transform axis, coordinate, direction and value in the scanned pose [rad, m].
@@ -50,8 +50,9 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
     """
     written = knee.mirrored() if knee.side == "left" else knee
     frames = {"femur": written.femur_frame, "tibia": written.tibia_frame}
+    surfaces = {"femur": (written.femur,), "tibia": written.tibia}
     stem, side = file_name(knee.name), knee.side[0]
-    _write_surfaces(written, frames, prepare_folder(folder / "Geometry"), stem)
+    geometry = prepare_folder(folder / "Geometry")
     root = ET.Element("OpenSimDocument", Version="40000")
     model = ET.SubElement(root, "Model", name=stem)
     _text(model, "credits", f"{knee.name}, written by identknee. {knee.description}".strip())
@@ -60,16 +61,52 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
     bodies = _objects(model, "BodySet")
     meshes = _objects(model, "ContactGeometrySet")
     for bone, names in SURFACES.items():
-        body = _body(bodies, f"{bone}_{side}")
-        for name in names:
-            _meshes(body, meshes, name, f"/bodyset/{bone}_{side}", f"{stem}_{name}.stl")
+        frame, body = frames[bone], ET.SubElement(bodies, "Body", name=f"{bone}_{side}")
+        for tag, value in BODY.items():
+            _text(body, tag, value)
+        attached = ET.SubElement(body, "attached_geometry")
+        for name, surface in zip(names, surfaces[bone], strict=True):
+            local = surface.moved(frame.axes, -frame.axes @ frame.origin).scaled(1.0 / MM_PER_M)
+            file = write_surface(local, geometry / f"{stem}_{name}.stl").name
+            # To be seen on its body, and as contact geometry.
+            shown = ET.SubElement(attached, "Mesh", name=name)
+            _text(shown, "socket_frame", "..")
+            _text(shown, "mesh_file", file)
+            mesh = ET.SubElement(meshes, "ContactMesh", name=f"{name}_contact")
+            _text(mesh, "socket_frame", f"/bodyset/{bone}_{side}")
+            _text(mesh, "location", "0 0 0")
+            _text(mesh, "orientation", "0 0 0")
+            _text(mesh, "filename", f"Geometry/{file}")
     joints = _objects(model, "JointSet")
     weld = ET.SubElement(joints, "WeldJoint", name=f"ground_femur_{side}")
-    _sockets(weld, "/ground", f"/bodyset/femur_{side}")
-    _knee_joint(joints, side, _axes(knee, frames))
+    joint = ET.SubElement(joints, "CustomJoint", name=f"knee_{side}")
+    sockets = (weld, "/ground", "femur"), (joint, f"/bodyset/femur_{side}", "tibia")
+    for element, parent, child in sockets:
+        _text(element, "socket_parent_frame", parent)
+        _text(element, "socket_child_frame", f"/bodyset/{child}_{side}")
+    coordinates = ET.SubElement(joint, "coordinates")
+    transform = ET.SubElement(joint, "SpatialTransform")
+    for place, name, direction, offset in _axes(knee, frames):
+        coordinate = f"knee_{name}_{side}"
+        ET.SubElement(coordinates, "Coordinate", name=coordinate)
+        element = ET.SubElement(transform, "TransformAxis", name=place)
+        _text(element, "coordinates", coordinate)
+        _text(element, "axis", " ".join(map(str, direction)))
+        function = ET.SubElement(element, "LinearFunction", name="function")
+        _text(function, "coefficients", f"1 {offset!r}")
     forces = _objects(model, "ForceSet")
     for ligament in written.ligaments:
-        _ligament(forces, ligament, frames, side)
+        element = ET.SubElement(forces, LIGAMENT_CLASS, name=ligament.name)
+        line = ET.SubElement(element, "GeometryPath", name="geometrypath")
+        points = ET.SubElement(ET.SubElement(line, "PathPointSet"), "objects")
+        for bone, frame in frames.items():
+            point = ET.SubElement(points, "PathPoint", name=f"{ligament.name}_{bone}")
+            _text(point, "socket_parent_frame", f"/bodyset/{bone}_{side}")
+            end = frame.to_local(getattr(ligament, bone)) / MM_PER_M
+            _text(point, "location", " ".join(repr(float(x)) for x in end))
+        _text(element, "linear_stiffness", repr(1000.0 * ligament.stiffness_kN))
+        _text(element, "transition_strain", repr(TRANSITION_STRAIN))
+        _text(element, "slack_length", repr(slack_length(ligament)))
     ET.indent(root)
     path = folder / f"{stem}.osim"
     return write_atomically(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
@@ -84,15 +121,6 @@ def file_name(name: str, ending: str = "") -> str:
     'S_07_left.osim'
     """
     return (re.sub(r"[^\w.-]+", "_", name).strip("._") or "knee") + ending
-
-
-def _write_surfaces(written: Knee, frames: dict[str, Frame], folder: Path, stem: str) -> None:
-    surfaces = {"femur": (written.femur,), "tibia": written.tibia}
-    for bone, names in SURFACES.items():
-        frame = frames[bone]
-        for name, surface in zip(names, surfaces[bone], strict=True):
-            local = surface.moved(frame.axes, -frame.axes @ frame.origin).scaled(1.0 / MM_PER_M)
-            write_surface(local, folder / f"{stem}_{name}.stl")
 
 
 def _axes(knee: Knee, frames: dict[str, Frame]) -> Iterator[Axis]:
@@ -110,68 +138,12 @@ def _axes(knee: Knee, frames: dict[str, Frame]) -> Iterator[Axis]:
         yield f"translation{i + 1}", name, [int(i == k) for k in range(3)], float(value)
 
 
-def _knee_joint(joints: Element, side: str, axes: Iterator[Axis]) -> None:
-    joint = ET.SubElement(joints, "CustomJoint", name=f"knee_{side}")
-    _sockets(joint, f"/bodyset/femur_{side}", f"/bodyset/tibia_{side}")
-    coordinates = ET.SubElement(joint, "coordinates")
-    transform = ET.SubElement(joint, "SpatialTransform")
-    for place, name, axis, value in axes:
-        coordinate = f"knee_{name}_{side}"
-        ET.SubElement(coordinates, "Coordinate", name=coordinate)
-        element = ET.SubElement(transform, "TransformAxis", name=place)
-        _text(element, "coordinates", coordinate)
-        _text(element, "axis", " ".join(map(str, axis)))
-        function = ET.SubElement(element, "LinearFunction", name="function")
-        _text(function, "coefficients", f"1 {value!r}")
-
-
-def _ligament(forces: Element, ligament: Ligament, frames: dict[str, Frame], side: str) -> None:
-    element = ET.SubElement(forces, LIGAMENT_CLASS, name=ligament.name)
-    path = ET.SubElement(element, "GeometryPath", name="geometrypath")
-    points = ET.SubElement(ET.SubElement(path, "PathPointSet"), "objects")
-    for bone, frame in frames.items():
-        point = ET.SubElement(points, "PathPoint", name=f"{ligament.name}_{bone}")
-        _text(point, "socket_parent_frame", f"/bodyset/{bone}_{side}")
-        _text(point, "location", _numbers(frame.to_local(getattr(ligament, bone)) / MM_PER_M))
-    _text(element, "linear_stiffness", repr(1000.0 * ligament.stiffness_kN))
-    _text(element, "transition_strain", repr(TRANSITION_STRAIN))
-    _text(element, "slack_length", repr(slack_length(ligament)))
-
-
-def _body(bodies: Element, name: str) -> Element:
-    body = ET.SubElement(bodies, "Body", name=name)
-    for tag, value in BODY.items():
-        _text(body, tag, value)
-    return ET.SubElement(body, "attached_geometry")
-
-
-def _meshes(attached: Element, meshes: Element, name: str, body: str, file: str) -> None:
-    """The surface to be seen, on its body, and as contact geometry."""
-    shown = ET.SubElement(attached, "Mesh", name=name)
-    _text(shown, "socket_frame", "..")
-    _text(shown, "mesh_file", file)
-    mesh = ET.SubElement(meshes, "ContactMesh", name=f"{name}_contact")
-    _text(mesh, "socket_frame", body)
-    _text(mesh, "location", "0 0 0")
-    _text(mesh, "orientation", "0 0 0")
-    _text(mesh, "filename", f"Geometry/{file}")
-
-
-def _sockets(joint: Element, parent: str, child: str) -> None:
-    _text(joint, "socket_parent_frame", parent)
-    _text(joint, "socket_child_frame", child)
-
-
 def _objects(model: Element, kind: str) -> Element:
     return ET.SubElement(ET.SubElement(model, kind, name=kind.lower()), "objects")
 
 
 def _text(parent: Element, tag: str, text: str) -> None:
     ET.SubElement(parent, tag).text = text
-
-
-def _numbers(values: Array) -> str:
-    return " ".join(repr(float(x)) for x in values)
 
 
 # Ends that differ by less [mm] are the same; files round further off.
@@ -216,11 +188,33 @@ def write_opensim(knee: Knee, folder: PathLike, *, source: PathLike | None = Non
     bones = bones_of(model)
     written = knee.mirrored() if knee.side == "left" else knee
     _check_same(knee, model)
-    root = _with_comments(model)
-    copies = dict(zip(map(id, model.root.iter()), _elements(root), strict=True))
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True, insert_pis=True))
+    root = ET.parse(model.path, parser).getroot()
+    copies = dict(
+        zip(
+            map(id, model.root.iter()),
+            (x for x in root.iter() if not callable(x.tag)),
+            strict=True,
+        )
+    )
     for line, changed in _changed(written, bones):
-        _write_ligament(line, changed, copies)
-    _copy_geometry(model, target / "Geometry")
+        element = copies[id(line.element)]
+        _set(element, "linear_stiffness", 1000.0 * changed.stiffness_kN)
+        _set(element, "slack_length", slack_length(changed))
+        _set(element, "transition_strain", TRANSITION_STRAIN)
+        for bone, end in line.ends.items():
+            place: Array = getattr(changed, bone)
+            if np.abs(place - getattr(line.ligament, bone)).max() > SAME_PLACE:
+                _set(copies[id(end.element)], "location", *end.frame.inverse(place / MM_PER_M))
+    # The meshes that the model names and that lie where it looks for them.
+    for element in model.root.iter():
+        name = (element.findtext("mesh_file") or element.findtext("filename") or "").strip()
+        with suppress(InputError):
+            if name:
+                found = mesh_file(model, element, name)
+                copy = prepare_folder(target / "Geometry") / found.name
+                if not (copy.exists() and copy.samefile(found)):
+                    shutil.copyfile(found, copy)
     path = target / file_name(knee.name, ".osim")
     if path.exists() and path.samefile(model.path):
         raise InputError(path, "", "this is the source itself", "Give another folder with --out.")
@@ -228,16 +222,6 @@ def write_opensim(knee: Knee, folder: PathLike, *, source: PathLike | None = Non
     if b"\r\n" in model.path.read_bytes():
         content = content.replace(b"\n", b"\r\n")
     return write_atomically(path, content)
-
-
-def _with_comments(model: OsimModel) -> Element:
-    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True, insert_pis=True))
-    return ET.parse(model.path, parser).getroot()
-
-
-def _elements(root: Element) -> Iterator[Element]:
-    """All elements that are no comments."""
-    return (x for x in root.iter() if not callable(x.tag))
 
 
 def _check_same(knee: Knee, model: OsimModel) -> None:
@@ -270,41 +254,25 @@ def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
                 f"it has no ligament {wanted.name}",
                 "Give the model that the knee was imported from, or none.",
             )
-        for ligament in _shared(wanted, bundle):
-            yield lines[ligament.name], ligament
-
-
-def _shared(wanted: Ligament, bundle: Sequence[Ligament]) -> list[Ligament]:
-    """The bundles whose merged line is the one wanted."""
-    before = line_for(wanted.name, bundle)
-    is_slack = before.stiffness_kN == 0.0
-    factor = 0.0 if is_slack else wanted.stiffness_kN / before.stiffness_kN
-    moved = {bone: getattr(wanted, bone) - getattr(before, bone) for bone in ("femur", "tibia")}
-    return [
-        Ligament(
-            name=x.name,
-            femur=x.femur + moved["femur"],
-            tibia=x.tibia + moved["tibia"],
-            stiffness_kN=(
-                wanted.stiffness_kN / len(bundle) if is_slack else factor * x.stiffness_kN
-            ),
-            reference_strain_pct=x.reference_strain_pct
-            + wanted.reference_strain_pct
-            - before.reference_strain_pct,
-        )
-        for x in bundle
-    ]
-
-
-def _write_ligament(line: OsimLine, changed: Ligament, copies: dict[int, Element]) -> None:
-    element = copies[id(line.element)]
-    _set(element, "linear_stiffness", 1000.0 * changed.stiffness_kN)
-    _set(element, "slack_length", slack_length(changed))
-    _set(element, "transition_strain", TRANSITION_STRAIN)
-    for bone, end in line.ends.items():
-        place: Array = getattr(changed, bone)
-        if np.abs(place - getattr(line.ligament, bone)).max() > SAME_PLACE:
-            _set(copies[id(end.element)], "location", *end.frame.inverse(place / MM_PER_M))
+        # The bundles whose merged line is the one wanted.
+        before = line_for(wanted.name, bundle)
+        is_slack = before.stiffness_kN == 0.0
+        factor = 0.0 if is_slack else wanted.stiffness_kN / before.stiffness_kN
+        for x in bundle:
+            yield (
+                lines[x.name],
+                Ligament(
+                    name=x.name,
+                    femur=x.femur + (wanted.femur - before.femur),
+                    tibia=x.tibia + (wanted.tibia - before.tibia),
+                    stiffness_kN=(
+                        wanted.stiffness_kN / len(bundle) if is_slack else factor * x.stiffness_kN
+                    ),
+                    reference_strain_pct=x.reference_strain_pct
+                    + wanted.reference_strain_pct
+                    - before.reference_strain_pct,
+                ),
+            )
 
 
 def _set(element: Element, tag: str, *values: float) -> None:
@@ -315,16 +283,3 @@ def _set(element: Element, tag: str, *values: float) -> None:
     before = [float(x) for x in (child.text or "").split()]
     if len(before) != len(values) or not np.allclose(before, values, rtol=SAME_NUMBER, atol=0.0):
         child.text = " ".join(repr(float(x)) for x in values)
-
-
-def _copy_geometry(model: OsimModel, folder: Path) -> None:
-    """Copy the meshes that the model names and that lie where it looks for them."""
-    for element in model.root.iter():
-        name = (element.findtext("mesh_file") or element.findtext("filename") or "").strip()
-        if not name:
-            continue
-        with suppress(InputError):
-            found = mesh_file(model, element, name)
-            copy = prepare_folder(folder) / found.name
-            if not (copy.exists() and copy.samefile(found)):
-                shutil.copyfile(found, copy)

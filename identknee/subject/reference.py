@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.examples import REFERENCE
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.surface import Surface, joined
 
 ComplexArray = NDArray[np.complex128]
@@ -99,8 +97,7 @@ class Condyle:
         across = np.cross(down, tangent, axis=0)
         across *= np.sign(across[2]) / np.linalg.norm(across, axis=0)
         normal = np.cos(phi) * down + np.sin(phi) * across
-        points: Array = (centre + self.tube_radius * normal).T
-        return points
+        return np.asarray((centre + self.tube_radius * normal).T)
 
     def mesh(self, edge: float) -> Surface:
         """Triangles with edges of about `edge` [mm], its normals pointing out of the condyle."""
@@ -156,8 +153,7 @@ class Condyle:
             curvature = np.where(curvature > 0.0, curvature, square)
             newton = angle - np.einsum("in,in->n", gap, first) / curvature
             angle = np.clip(newton, low, high)
-        distance: Array = np.sqrt(least)
-        return distance
+        return np.asarray(np.sqrt(least))
 
     @property
     def _transition(self) -> tuple[float, float, float, float]:
@@ -194,8 +190,7 @@ class Condyle:
         total = mean * within + swing / (1.0 - rate**2) * within * factor
         total += np.where(before, (mean + swing) * (turning - at_start), 0.0)
         total += np.where(after, (mean - swing) * (turning - at_end), 0.0)
-        swept: ComplexArray = -1j * total
-        return swept
+        return np.asarray(-1j * total)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,8 +234,9 @@ class Plateau:
         bowl = 0.5 * (self.curvature_x * dx**2 + self.curvature_z * dz**2)
         from_top = ((x - self.eminence_x) / self.eminence_width_x) ** 2
         from_top = from_top + ((z - self.eminence_z) / self.eminence_width_z) ** 2
-        heights: Array = self.height + plane + bowl + self.eminence_height * np.exp(-0.5 * from_top)
-        return heights
+        return np.asarray(
+            self.height + plane + bowl + self.eminence_height * np.exp(-0.5 * from_top)
+        )
 
     def mesh(self, edge: float) -> Surface:
         """Triangles with edges of about `edge` [mm], its normals pointing up.
@@ -301,8 +297,7 @@ class CondyleDistance:
     def __call__(self, points: Array) -> Array:
         """Signed distance of each point [mm], negative inside, shape ``(n,)``."""
         distances = [x.distance(points) for x in self.condyles]
-        nearest: Array = np.min(distances, axis=0)
-        return nearest
+        return np.asarray(np.min(distances, axis=0))
 
 
 def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = None) -> Knee:

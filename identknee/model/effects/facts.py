@@ -20,46 +20,31 @@ References
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
 
-Slot = Literal["force", "load", "observation", "parameter", "history"]
+from identknee.runs.declare import declared, entry
+
 MISSING_LINE, REMOUNTING = "missing_line", "remounting"
 # Causes that no library offers: they are tried where others fail.
 NOT_OFFERED = (MISSING_LINE, REMOUNTING)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class EffectFacts:
-    """Label, meaning, size and source of a cause.
+    """Label, meaning, size and source of a cause."""
 
-    Attributes
-    ----------
-    name
-        Name of the cause.
-    label
-        What prose calls it.
-    slot
-        Where it acts: on the forces in the knee, its loads, what is read, the parameters of what
-        the model has already, or by when a trial was made.
-    sentence
-        What it is.
-    source
-        Source of its plausible size.
-    relevant
-        The smallest amplitude worth knowing, in the unit of the effect's first parameter.
-    is_numerical
-        Whether it stands for what a computation gets wrong of any knee: allowed for, never a cause.
-    """
-
-    name: str
-    label: str
-    slot: Slot
-    sentence: str
-    source: str
-    relevant: float
-    is_numerical: bool = False
+    name: str = entry("Name of the cause")
+    label: str = entry("What prose calls it")
+    sentence: str = entry("What it is")
+    source: str = entry("Source of its plausible size")
+    relevant: float = entry(
+        "The smallest amplitude worth knowing, in the unit of the effect's first parameter"
+    )
+    is_numerical: bool = entry(
+        "Whether it stands for what a computation gets wrong of any knee: allowed for, never "
+        "a cause",
+        default=False,
+    )
 
 
 _ESTIMATE = "an estimate"
@@ -67,7 +52,6 @@ _ALL = (
     EffectFacts(
         name="anterolateral",
         label="anterolateral structure",
-        slot="force",
         sentence="An anterolateral structure resists internal rotation, most at 30 to 60 deg.",
         source="0.14 kN (50 N at 36 % strain, Zens 2015) to 1.4 kN (42 +- 26 N/mm, Helito 2016, at "
         "33 mm)",
@@ -76,7 +60,6 @@ _ALL = (
     EffectFacts(
         name="posteromedial",
         label="posteromedial corner",
-        slot="force",
         sentence="The posterior oblique ligament and the posteromedial capsule resist internal and "
         "valgus rotation near extension and slacken with flexion.",
         source="56 +- 20 N/mm (Robinson 2005): 1 to 3 kN; course with flexion (Willinger 2020)",
@@ -85,7 +68,6 @@ _ALL = (
     EffectFacts(
         name="popliteofibular",
         label="popliteofibular ligament",
-        slot="force",
         sentence="The popliteofibular ligament and the popliteus tendon resist external and varus "
         "rotation, more with flexion.",
         source="28.6 N/mm and 83.7 N/mm (LaPrade 2005): 1 to 3 kN",
@@ -94,7 +76,6 @@ _ALL = (
     EffectFacts(
         name="deep_mcl",
         label="deep MCL",
-        slot="force",
         sentence="The deep medial collateral ligament resists valgus and external rotation.",
         source="42 N/mm (Robinson 2005): 1 to 2 kN",
         relevant=0.2,
@@ -102,7 +83,6 @@ _ALL = (
     EffectFacts(
         name="posterior_capsule",
         label="posterior capsule",
-        slot="force",
         sentence="The posterior capsule resists extension and what tilts or turns the knee there.",
         source="bundles of published models (Shin 2007): about 1 kN each, an estimate",
         relevant=0.3,
@@ -110,7 +90,6 @@ _ALL = (
     EffectFacts(
         name="bundles",
         label="ligament bundles",
-        slot="parameter",
         sentence="A ligament's fibres do not tighten together: one bundle is tauter than another "
         "and lies beside it.",
         source="bundles of one ligament differ by 4 to 33 % (Blankevoort 1991); their insertions "
@@ -120,7 +99,6 @@ _ALL = (
     EffectFacts(
         name="mcl_wrapping",
         label="MCL wrapping",
-        slot="force",
         sentence="The medial collateral ligament is pushed aside at the joint line, so it is no "
         "straight line.",
         source=f"2 to 8 mm, {_ESTIMATE}",
@@ -129,7 +107,6 @@ _ALL = (
     EffectFacts(
         name="meniscus",
         label="menisci",
-        slot="force",
         sentence="The menisci resist sliding of the condyles on the plateaus.",
         source=f"5 to 50 N/mm, {_ESTIMATE}",
         relevant=3.0,
@@ -137,7 +114,6 @@ _ALL = (
     EffectFacts(
         name="toe_strain",
         label="toe region of the ligaments",
-        slot="parameter",
         sentence="The ligaments straighten over another range of strain than 3 %.",
         source=f"1.5 to 4.5 %, {_ESTIMATE} around the usual value (Blankevoort 1991)",
         relevant=0.5,
@@ -145,7 +121,6 @@ _ALL = (
     EffectFacts(
         name="cartilage",
         label="cartilage stiffness",
-        slot="parameter",
         sentence="Cartilage is softer or stiffer than the contact law says.",
         source=f"a tenth to three times the modulus, {_ESTIMATE}",
         relevant=0.4,
@@ -153,7 +128,6 @@ _ALL = (
     EffectFacts(
         name="compression",
         label="axial compression",
-        slot="load",
         sentence="A constant axial force pressed the joint together in all trials.",
         source=f"20 N to seat a knee in a rig, 20 to 200 N of muscle tone, {_ESTIMATE}",
         relevant=10.0,
@@ -161,7 +135,6 @@ _ALL = (
     EffectFacts(
         name="shank_gravity",
         label="shank weight",
-        slot="load",
         sentence="The weight of shank and foot acted and was not taken off the loads.",
         source=f"0 N where it was tared to 35 N, {_ESTIMATE}",
         relevant=4.0,
@@ -169,7 +142,6 @@ _ALL = (
     EffectFacts(
         name="moment_gain_IE",
         label="scale error of the internal moment",
-        slot="load",
         sentence="The internal and external moments were larger or smaller than stated.",
         source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
         relevant=0.03,
@@ -177,7 +149,6 @@ _ALL = (
     EffectFacts(
         name="moment_gain_VV",
         label="scale error of the varus moment",
-        slot="load",
         sentence="The varus and valgus moments were larger or smaller than stated.",
         source=f"1 % of full scale for load cells, 5 to 10 % by hand, {_ESTIMATE}",
         relevant=0.03,
@@ -185,7 +156,6 @@ _ALL = (
     EffectFacts(
         name="moment_offset",
         label="zero error of the moments",
-        slot="load",
         sentence="The moments had a zero error.",
         source=f"0.5 N·m tolerance of control, {_ESTIMATE}",
         relevant=0.15,
@@ -193,7 +163,6 @@ _ALL = (
     EffectFacts(
         name="axis_misalignment",
         label="misaligned moment axes",
-        slot="load",
         sentence="Each moment acted partly about the other's axis.",
         source=f"2 to 8 deg, {_ESTIMATE}",
         relevant=1.0,
@@ -201,7 +170,6 @@ _ALL = (
     EffectFacts(
         name="parasitic_shear",
         label="parasitic shear force",
-        slot="load",
         sentence="Each moment came with a force across the tibia.",
         source=f"2 to 12 N at 10 N·m, {_ESTIMATE}",
         relevant=0.3,
@@ -209,7 +177,6 @@ _ALL = (
     EffectFacts(
         name="femur_frame",
         label="rotated femoral frame",
-        slot="observation",
         sentence="The femur's axes were turned against those of the model.",
         source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
         relevant=0.5,
@@ -217,7 +184,6 @@ _ALL = (
     EffectFacts(
         name="tibia_frame",
         label="rotated tibial frame",
-        slot="observation",
         sentence="The tibia's axes were turned against those of the model.",
         source=f"1 to 5 deg where axes come from landmarks, {_ESTIMATE}",
         relevant=0.5,
@@ -225,7 +191,6 @@ _ALL = (
     EffectFacts(
         name="flexion_offset",
         label="flexion offset",
-        slot="parameter",
         sentence="The knee was flexed more or less than stated.",
         source=f"1 to 4 deg, {_ESTIMATE}",
         relevant=1.0,
@@ -233,7 +198,6 @@ _ALL = (
     EffectFacts(
         name="rig_compliance_IE",
         label="rig compliance in internal rotation",
-        slot="observation",
         sentence="The rig itself yielded in internal and external rotation.",
         source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
         relevant=0.03,
@@ -241,7 +205,6 @@ _ALL = (
     EffectFacts(
         name="rig_compliance_VV",
         label="rig compliance in varus rotation",
-        slot="observation",
         sentence="The rig itself yielded in varus and valgus rotation.",
         source=f"0.01 to 0.05 deg/N·m with pins in bone, 0.2 to 1 deg/N·m in a boot, {_ESTIMATE}",
         relevant=0.03,
@@ -249,7 +212,6 @@ _ALL = (
     EffectFacts(
         name="insertion",
         label="ligament insertions",
-        slot="parameter",
         sentence="Ligaments are attached beside where they were segmented.",
         source=f"1 to 4 mm, {_ESTIMATE}",
         relevant=1.0,
@@ -257,7 +219,6 @@ _ALL = (
     EffectFacts(
         name="hysteresis",
         label="hysteresis",
-        slot="history",
         sentence="Readings lag behind the load, so loading and unloading differ.",
         source=f"0.3 to 3 deg of internal rotation, {_ESTIMATE}",
         relevant=0.3,
@@ -265,7 +226,6 @@ _ALL = (
     EffectFacts(
         name="creep",
         label="creep",
-        slot="history",
         sentence="The knee gave way under load more and more while it was tested.",
         source=_ESTIMATE,
         relevant=0.3,
@@ -273,7 +233,6 @@ _ALL = (
     EffectFacts(
         name="drift",
         label="drift of the readings",
-        slot="history",
         sentence="The readings wandered over the test series whatever the load.",
         source=f"0.1 to 1 mm or deg, {_ESTIMATE}",
         relevant=0.2,
@@ -281,7 +240,6 @@ _ALL = (
     EffectFacts(
         name="contact_law",
         label="contact law",
-        slot="parameter",
         sentence="The computed contact is not quite the knee's: its law, its surfaces, its points.",
         source=f"a quarter of the modulus, {_ESTIMATE}",
         relevant=0.4,
@@ -290,7 +248,6 @@ _ALL = (
     EffectFacts(
         name=REMOUNTING,
         label="zero error of each flexion angle",
-        slot="observation",
         sentence="All trials of a flexion angle share errors of zero, as if the knee was mounted "
         "again for each: state them, for example --uncertain zero=0.3mm,zero=0.3deg.",
         source=f"0.3 mm and 0.3 deg, {_ESTIMATE}",
@@ -299,7 +256,6 @@ _ALL = (
     EffectFacts(
         name=MISSING_LINE,
         label="unknown line of action",
-        slot="force",
         sentence="A line of action that no structure of the library has.",
         source="found in the data",
         relevant=0.2,

@@ -10,7 +10,7 @@ from posed_knees import posed_folder, posed_reference
 from scipy.spatial import cKDTree
 
 from identknee.runs.arrays import Array
-from identknee.subject.anatomy import Anatomy, anatomy, meniscus_springs, rim_point
+from identknee.subject.anatomy import Anatomy, anatomy, rim_point
 from identknee.subject.folder import example, read_subject
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import Knee
@@ -193,16 +193,6 @@ def test_margins_are_as_far_out_as_the_surfaces(reference: Knee) -> None:
     assert found.joint_line == pytest.approx(
         np.mean([x.plateau_centre[1] for x in found.compartments])
     )
-
-
-def test_meniscus_springs_stand_between_condyle_and_plateau(reference: Knee) -> None:
-    medial, lateral = meniscus_springs(reference)
-    assert (medial.side, lateral.side) == ("medial", "lateral")
-    assert medial.femur[2] < 0.0 < lateral.femur[2]
-    for spring in (medial, lateral):
-        assert spring.femur[1] > spring.tibia[1]
-        np.testing.assert_array_equal(spring.anterior, [1.0, 0.0, 0.0])
-        np.testing.assert_array_equal(spring.lateral, [0.0, 0.0, 1.0])
 
 
 def test_rim_points_lie_at_the_rim_all_around(reference: Knee) -> None:

@@ -5,9 +5,9 @@ import pytest
 from line_gradient import line_gradient
 
 from identknee.laxity.protocol import Protocol
-from identknee.model.effects.contact_law import Meniscus
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import PosteriorCapsule, lines_of, structure
+from identknee.model.effects.tissues import Meniscus
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
@@ -103,6 +103,20 @@ def test_the_sides_of_the_capsule_have_their_own_stiffness_and_place(reference: 
     assert setting.lines.tibial[-2, 2] < setting.lines.tibial[-1, 2]
     with pytest.raises(ValueError, match="got 1 lines"):
         structure(reference, "posterior_capsule", lines_of(reference, capsule)[:1])
+
+
+def test_meniscus_springs_run_along_the_tibia_from_the_condyles(reference: Knee) -> None:
+    meniscus = effect_named(reference, "meniscus")
+    assert isinstance(meniscus, Meniscus)
+    assert (meniscus.femoral[:2, 2] < 0.0).all()
+    assert (meniscus.femoral[2:, 2] > 0.0).all()
+    ways = (meniscus.tibial - meniscus.femoral) / np.linalg.norm(
+        meniscus.tibial - meniscus.femoral, axis=1, keepdims=True
+    )
+    # Both frames of the reference knee are the same.
+    np.testing.assert_allclose(
+        ways, np.tile([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (2, 1)), atol=1e-12
+    )
 
 
 def test_menisci_resist_sliding_by_their_stiffness(reference: Knee) -> None:
