@@ -36,10 +36,16 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from identknee.calibrate.evaluation import Evaluation, Evaluator, LinearisedResiduals, SearchEnded
-from identknee.calibrate.problem import STEP_RANK_TOLERANCE, conditional_sds
-from identknee.calibrate.quantity import Quantity
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.calibrate.problem import (
+    STEP_RANK_TOLERANCE,
+    Evaluation,
+    Evaluator,
+    LinearisedResiduals,
+    Quantity,
+    SearchEnded,
+    conditional_sds,
+)
+from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared
 from identknee.runs.outcome import Outcome
 
@@ -151,50 +157,40 @@ class _ActiveSet:
 
     def solve(self) -> BoundedStep:
         for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
-            if not self._minimise_free():
+            # Go to the lowest point over the free components, or to the first bound on the way.
+            free = np.flatnonzero(~self._held)
+            move = np.zeros(len(self._at))
+            matrix = self._matrix[:, free]
+            missing = self._matrix @ self._at + self._data
+            least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
+            if self._normal is None:
+                move[free] = _least_norm_step(matrix, missing, least)
+            else:
+                basis = _null_space(self._normal[free])
+                move[free] = np.asarray(basis @ _least_norm_step(matrix @ basis, missing, least))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
+            room[move == 0.0] = np.inf
+            first = int(np.argmin(room))
+            if room[first] >= 1.0:
+                self._at = np.clip(self._at + move, self._lower, self._upper)
+            else:
+                part = max(room[first], 0.0) * move
+                self._at = np.clip(self._at + part, self._lower, self._upper)
+                self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
+                self._held[first] = True
                 continue
-            if not self._release():
+            # Release the active bound with the most negative multiplier.
+            _, force = self._forces()
+            inward = np.where(self._at >= self._upper, force, -force)
+            inward[~self._held | (self._lower == self._upper)] = 0.0
+            hardest = int(np.argmax(inward))
+            size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
+            if inward[hardest] <= STEP_RANK_TOLERANCE * size:
                 break
+            self._held[hardest] = False
         multiplier, _ = self._forces()
         return BoundedStep(step=self._at, multiplier=multiplier, is_held=self._held)
-
-    def _minimise_free(self) -> bool:
-        """Minimise over the free components; False if a bound became active on the way."""
-        free = np.flatnonzero(~self._held)
-        move = np.zeros(len(self._at))
-        move[free] = self._free_move(free)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
-        room[move == 0.0] = np.inf
-        first = int(np.argmin(room))
-        if room[first] >= 1.0:
-            self._at = np.clip(self._at + move, self._lower, self._upper)
-            return True
-        self._at = np.clip(self._at + max(room[first], 0.0) * move, self._lower, self._upper)
-        self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
-        self._held[first] = True
-        return False
-
-    def _free_move(self, free: IntArray) -> Array:
-        matrix = self._matrix[:, free]
-        missing = self._matrix @ self._at + self._data
-        least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-        if self._normal is None:
-            return _least_norm_step(matrix, missing, least)
-        basis = _null_space(self._normal[free])
-        return np.asarray(basis @ _least_norm_step(matrix @ basis, missing, least))
-
-    def _release(self) -> bool:
-        """Release the active bound with the most negative multiplier; False if there is none."""
-        _, force = self._forces()
-        inward = np.where(self._at >= self._upper, force, -force)
-        inward[~self._held | (self._lower == self._upper)] = 0.0
-        hardest = int(np.argmax(inward))
-        size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
-        if inward[hardest] <= STEP_RANK_TOLERANCE * size:
-            return False
-        self._held[hardest] = False
-        return True
 
     def _forces(self) -> tuple[float, Array]:
         """Multiplier of the constraint, and the remaining gradient, shape ``(n,)``."""
@@ -574,11 +570,31 @@ class _Search:
 
     def run(self, start: Array, most_steps: int) -> ConstrainedFit:
         before = self._evaluator.n_simulations
-        start = self._start_on_target(np.clip(start, self._lower, self._upper))
+        start = np.clip(start, self._lower, self._upper)
+        if self._quantity is not None:
+            # A quantity that is a parameter begins at its target.
+            value, gradient = self._quantity.evaluate(start)
+            i = int(np.argmax(gradient != 0.0))
+            if np.count_nonzero(gradient) == 1 and gradient[i] == 1.0 and value == start[i]:
+                start[i] = np.clip(self._target, self._lower[i], self._upper[i])
         try:
             point = self._point(start)
         except SearchEnded as end:
-            return _start_failed(start, end.outcome)
+            n = start.size
+            evaluation = Evaluation(
+                theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
+            )
+            return ConstrainedFit(
+                evaluation=evaluation,
+                value=np.nan,
+                multiplier=np.nan,
+                tangent=np.full(n, np.nan),
+                is_held=np.zeros(n, dtype=np.bool_),
+                outcome=end.outcome,
+                is_on_target=False,
+                left=np.inf,
+                n_simulations=0,
+            )
         if not point.is_finite:
             return self._result(point, None, Outcome.START_FAILED, before)
         for _ in range(most_steps):
@@ -597,18 +613,6 @@ class _Search:
                 outcome = Outcome.CLIFF if self._met_cliff else Outcome.VALLEY
                 return self._result(point, plan, outcome, before)
         return self._result(point, plan, Outcome.VALLEY, before)
-
-    def _start_on_target(self, start: Array) -> Array:
-        """The start with the target inserted if the quantity is a parameter."""
-        if self._quantity is None:
-            return start
-        value, gradient = self._quantity.evaluate(start)
-        theta = np.array(start)
-        if np.count_nonzero(gradient) == 1:
-            i = int(np.flatnonzero(gradient)[0])
-            if gradient[i] == 1.0 and value == start[i]:
-                theta[i] = np.clip(self._target, self._lower[i], self._upper[i])
-        return theta
 
     def _point(self, theta: Array) -> _Point:
         evaluation = self._evaluator(theta)
@@ -753,21 +757,3 @@ def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float
     """Predicted reduction of the deviance by a model after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)
-
-
-def _start_failed(start: Array, outcome: Outcome) -> ConstrainedFit:
-    n = start.size
-    evaluation = Evaluation(
-        theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
-    )
-    return ConstrainedFit(
-        evaluation=evaluation,
-        value=np.nan,
-        multiplier=np.nan,
-        tangent=np.full(n, np.nan),
-        is_held=np.zeros(n, dtype=np.bool_),
-        outcome=outcome,
-        is_on_target=False,
-        left=np.inf,
-        n_simulations=0,
-    )

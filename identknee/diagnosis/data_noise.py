@@ -219,7 +219,15 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     whole = [x for x in looked if all(unit in x.scales for unit in units)]
     seen = max(whole, key=lambda x: x.degrees, default=None)
     if seen is None or seen.degrees < TRUSTED_DEGREES:
-        return _as_stated(laxity)
+        if laxity.sd is None:
+            return None
+        return DataNoise(
+            sd=laxity.sd,
+            correlation=laxity.within_trial_correlation,
+            factors=None,
+            degrees_of_freedom=np.inf,
+            source=NoiseSource.STATED,
+        )
     sd, factors = stated, dict.fromkeys(UNITS, np.nan)
     for unit in units:
         scale = seen.scales[unit]
@@ -267,15 +275,3 @@ def _pooled_noise(scale: EstimatedScale) -> float:
     if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):
         return scale.sd
     return float(np.exp(seen * STATED_SPREAD**2 / (STATED_SPREAD**2 + spread)))
-
-
-def _as_stated(laxity: Laxity) -> DataNoise | None:
-    if laxity.sd is None:
-        return None
-    return DataNoise(
-        sd=laxity.sd,
-        correlation=laxity.within_trial_correlation,
-        factors=None,
-        degrees_of_freedom=np.inf,
-        source=NoiseSource.STATED,
-    )

@@ -76,7 +76,13 @@ class Projector:
         """The projector that takes out `columns` too, shape ``(m, k)`` as in `padded`."""
         # Twice, so that little is left of the basis also where little is left of a column.
         left = self.project(self.project(columns))
-        new = _orthonormal(left, np.linalg.norm(columns, axis=0))
+        # A basis of `columns`, each compared with the size it had before any projection.
+        sizes = np.linalg.norm(columns, axis=0)
+        seen = np.linalg.norm(left, axis=0) > LEAST_SINGULAR_VALUE * sizes
+        if not seen.any():
+            return self
+        basis, size, _ = np.linalg.svd(left[:, seen] / sizes[seen], full_matrices=False)
+        new = basis[:, size > LEAST_SINGULAR_VALUE * size[0]]
         return Projector(basis=np.hstack([self.basis, new]))
 
 
@@ -92,15 +98,6 @@ def base_projector(jacobian: Array) -> Projector:
     """
     nothing = Projector(basis=np.zeros((len(jacobian), 0)))
     return nothing.with_columns(jacobian)
-
-
-def _orthonormal(columns: Array, sizes: Array) -> Array:
-    """A basis of `columns`, each compared with the size it had before any projection."""
-    seen = np.linalg.norm(columns, axis=0) > LEAST_SINGULAR_VALUE * sizes
-    if not seen.any():
-        return np.zeros((len(columns), 0))
-    left, size, _ = np.linalg.svd(columns[:, seen] / sizes[seen], full_matrices=False)
-    return np.asarray(left[:, size > LEAST_SINGULAR_VALUE * size[0]])
 
 
 @declared
@@ -194,7 +191,11 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     half = max(float(np.ptp(flexion)) / 2, np.finfo(np.float64).tiny)
     powers = np.vander((flexion - middle) / half, min(len(np.unique(flexion)), 3))
     trials = np.einsum("na,np->nap", np.stack(along, axis=1), powers).reshape(len(loads), -1)
-    return _for_each_coordinate(trials, is_measured)
+    # Patterns of trials, shape ``(n, k)``, in each coordinate alone, measured rows only.
+    n_coordinates = is_measured.shape[1]
+    whole = np.einsum("nk,ij->nijk", trials, np.eye(n_coordinates))
+    rows = np.asarray(whole[is_measured]).reshape(int(is_measured.sum()), -1)
+    return np.asarray(rows[:, rows.any(axis=0)])
 
 
 def cauchy_combination(p_values: Sequence[float]) -> float:
@@ -224,14 +225,6 @@ def chi2_or_f_test(square: float, degrees: int, noise_degrees: float) -> Residua
     ratio = square / degrees
     p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))
     return ResidualTest(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
-
-
-def _for_each_coordinate(trials: Array, is_measured: BoolArray) -> Array:
-    """Patterns of trials, shape ``(n, k)``, in each coordinate alone, measured rows only."""
-    n_coordinates = is_measured.shape[1]
-    whole = np.einsum("nk,ij->nijk", trials, np.eye(n_coordinates))
-    rows = np.asarray(whole[is_measured]).reshape(int(is_measured.sum()), -1)
-    return np.asarray(rows[:, rows.any(axis=0)])
 
 
 def log_chi2_tail(value: Array, degrees: float) -> Array:
@@ -394,9 +387,21 @@ def localise(
     seed
         Seed of the draws that adjust the probabilities for the number of cells.
     """
-    cells, columns = _seen(_cells(layout), projector, noise)
+    # Cells whose shift the parameters do not explain, and those shifts as columns of length 1.
+    whole = _cells(layout)
+    shifts = noise.whiten(np.stack([x.rows for x in whole], axis=1).astype(np.float64))
+    columns = projector.project(shifts)
+    size = np.linalg.norm(columns, axis=0)
+    seen = size > LEAST_LEFT * np.linalg.norm(shifts, axis=0)
+    cells = [cell for cell, is_seen in zip(whole, seen, strict=True) if is_seen]
+    columns = columns[:, seen] / size[seen]
     scores = projector.project(residuals) @ columns
-    p_values = _p_values(np.abs(scores), columns, seed)
+    # Probability that noise makes the largest score of any cell as large.
+    _, values, vectors = np.linalg.svd(columns, full_matrices=False)
+    draws = np.random.default_rng(seed).standard_normal((N_DRAWS, len(values)))
+    largest = np.sort(np.abs(draws @ (values[:, None] * vectors)).max(axis=1))
+    above = N_DRAWS - np.searchsorted(largest, np.abs(scores))
+    p_values = np.asarray((above + 1) / (N_DRAWS + 1))
     found = tuple(
         CellScore(
             coordinate=cell.coordinate,
@@ -444,27 +449,6 @@ def _cells(layout: TrialLayout) -> list[_Cell]:
                         )
                     )
     return cells
-
-
-def _seen(
-    cells: Sequence[_Cell], projector: Projector, noise: NoiseModel
-) -> tuple[list[_Cell], Array]:
-    """Cells whose shift the parameters do not explain, and those shifts as columns of length 1."""
-    shifts = noise.whiten(np.stack([x.rows for x in cells], axis=1).astype(np.float64))
-    columns = projector.project(shifts)
-    size = np.linalg.norm(columns, axis=0)
-    seen = size > LEAST_LEFT * np.linalg.norm(shifts, axis=0)
-    kept = [cell for cell, is_seen in zip(cells, seen, strict=True) if is_seen]
-    return kept, columns[:, seen] / size[seen]
-
-
-def _p_values(sizes: Array, columns: Array, seed: int) -> Array:
-    """Probability that noise makes the largest score of any cell as large."""
-    _, values, vectors = np.linalg.svd(columns, full_matrices=False)
-    draws = np.random.default_rng(seed).standard_normal((N_DRAWS, len(values)))
-    largest = np.sort(np.abs(draws @ (values[:, None] * vectors)).max(axis=1))
-    above = N_DRAWS - np.searchsorted(largest, sizes)
-    return np.asarray((above + 1) / (N_DRAWS + 1))
 
 
 def _region(cells: Sequence[CellScore], layout: TrialLayout) -> list[int]:

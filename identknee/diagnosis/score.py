@@ -409,7 +409,11 @@ def score_test(
     draws = np.random.default_rng(seed).standard_normal((n_draws, projector.n_rows))
     z_scores = _z_scores(_in_units(draws, projector, scale), projected)
     scores = _by_name(z_scores, projected)
-    factors = _trials_factors(scores, projected)
+    # By how much more often than one z-score the largest of each effect exceeds its quantile.
+    names = [x.signature.name for x in projected]
+    variants = np.array([names.count(x) for x in effect_names(projected)], dtype=np.float64)
+    quantiles = np.quantile(scores, 1 - LEVEL, axis=0)
+    factors = np.clip(LEVEL / np.exp(log_tail_of_z_score(quantiles)), 1.0, variants)
     return ScoreTest(
         projector=projector,
         signatures=projected,
@@ -447,15 +451,6 @@ def _by_name(z_scores: Array, signatures: Sequence[ProjectedSignature]) -> Array
     """The largest z-score of each effect, shape ``(n, e)``."""
     names = np.array([x.signature.name for x in signatures])
     return np.stack([z_scores[:, names == x].max(axis=1) for x in effect_names(signatures)], axis=1)
-
-
-def _trials_factors(scores: Array, signatures: Sequence[ProjectedSignature]) -> Array:
-    """By how much more often than one z-score the largest of each effect exceeds its quantile."""
-    names = [x.signature.name for x in signatures]
-    variants = np.array([names.count(x) for x in effect_names(signatures)], dtype=np.float64)
-    quantiles = np.quantile(scores, 1 - LEVEL, axis=0)
-    factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))
-    return np.asarray(np.clip(factors, 1.0, variants))
 
 
 def _corrected(scores: Array, trials_factors: Array) -> Array:

@@ -16,8 +16,14 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.problem import Problem, restricted, with_nuisance_priors, without_priors
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
+from identknee.calibrate.problem import (
+    ParameterQuantity,
+    Problem,
+    Quantity,
+    restricted,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.identify.design_criteria import (
     CRITERIA,
     CandidatePredictions,
@@ -31,7 +37,7 @@ from identknee.identify.design_criteria import (
     paths_of,
     predict_candidates,
 )
-from identknee.identify.nuisances import nuisance_places
+from identknee.identify.optimum import nuisance_places
 from identknee.identify.profile.profile import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
 from identknee.identify.trial_choice import choose
@@ -248,15 +254,7 @@ class MarginalProblem:
 
 
 def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:
-    """The problem of the parameters of interest alone.
-
-    Parameters
-    ----------
-    problem
-        In units of noise, with nuisances.
-    theta
-        Its best fit, shape ``(n,)``.
-    """
+    """The problem of the parameters of interest alone."""
     parameters = problem.parameters
     is_error, data = ~parameters.is_of_interest, without_priors(problem)
     held = np.array(parameters.names)[is_error].tolist()

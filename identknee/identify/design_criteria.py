@@ -11,9 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from identknee.calibrate.evaluation import evaluate
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import Quantity
+from identknee.calibrate.problem import Problem, Quantity, evaluate
 from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import Profile
 from identknee.model.parameters import Parameters
@@ -151,9 +149,18 @@ class Path:
             away = np.concatenate([[0.0], np.abs(self.values[chosen] - self.center)])
             roots = np.sqrt(np.maximum(deltas[:, chosen], 0.0))
             roots = np.hstack([np.zeros((len(deltas), 1)), roots])
-            reach, goes_on = _first_crossing(away, roots, float(np.sqrt(self.threshold)))
+            # How far out each row of roots first reaches the level, and which rows do not.
+            level = float(np.sqrt(self.threshold))
+            above = roots >= (1.0 - END_TOLERANCE) * level
+            goes_on = ~above.any(axis=1)
+            after = np.where(goes_on, len(away) - 1, np.argmax(above, axis=1))
+            rows, before = np.arange(len(roots)), np.maximum(after - 1, 0)
+            rise = roots[rows, after] - roots[rows, before]
+            share = (level - roots[rows, before]) / np.where(rise > 0, rise, 1.0)
+            between = away[before] + share * (away[after] - away[before])
+            beyond = away[-1] * level / np.maximum(roots[:, -1], LEAST_RISE)
             is_open[:, side] = goes_on
-            ends[:, side] = self.center + sign * reach
+            ends[:, side] = self.center + sign * np.where(goes_on, beyond, between)
         return ends, is_open
 
 
@@ -224,19 +231,6 @@ def directions_across(gradients: Array) -> Array:
     """Orthonormal directions orthogonal to each gradient (s, n), shape ``(s, n, n - 1)``."""
     _, _, rows = np.linalg.svd(gradients[:, None, :], full_matrices=True)
     return np.asarray(np.swapaxes(rows[:, 1:], 1, 2))
-
-
-def _first_crossing(away: Array, roots: Array, level: float) -> tuple[Array, BoolArray]:
-    """How far out each row of roots first reaches the level, and which rows do not."""
-    above = roots >= (1.0 - END_TOLERANCE) * level
-    goes_on: BoolArray = np.asarray(~above.any(axis=1))
-    after = np.where(goes_on, len(away) - 1, np.argmax(above, axis=1))
-    rows, before = np.arange(len(roots)), np.maximum(after - 1, 0)
-    rise = roots[rows, after] - roots[rows, before]
-    share = (level - roots[rows, before]) / np.where(rise > 0, rise, 1.0)
-    between = away[before] + share * (away[after] - away[before])
-    beyond = away[-1] * level / np.maximum(roots[:, -1], LEAST_RISE)
-    return np.where(goes_on, beyond, between), goes_on
 
 
 class CandidateTrials(Protocol):

@@ -8,16 +8,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
-from identknee.identify.extremum import (
+from identknee.calibrate.problem import ParameterQuantity, Quantity
+from identknee.identify.region import (
     INSIDE_TOLERANCE,
+    Blocks,
     Extreme,
     ExtremumEnd,
+    Region,
+    RegionView,
     at_bounds,
     extremise,
     farthest_pair,
 )
-from identknee.identify.region import Blocks, Region, RegionView
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
@@ -64,7 +66,11 @@ def points_along(view: RegionView, origin: Array, direction: Array, share: float
     if blocks.largest > BOUNDARY and uphill @ direction > 0:
         direction = -direction
     reach = _reach(blocks, direction)
-    longest = _to_bounds(view, origin, direction)
+    # Distance to the bounds along the direction.
+    wall = np.where(direction > 0, view.upper, view.lower)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lengths = (wall - origin) / direction
+    longest = float(np.min(np.where(direction == 0.0, np.inf, lengths)))
     low, high = 0.0, np.inf
     last: Array | None = None
     for _ in range(MOST_TRIALS):
@@ -134,14 +140,6 @@ def _reach(blocks: Blocks, direction: Array) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         roots = (np.sqrt(half**2 + square * room) - half) / square
     return float(np.min(np.where(square > 0, roots, np.inf)))
-
-
-def _to_bounds(view: RegionView, origin: Array, direction: Array) -> float:
-    """Distance to the bounds along the direction."""
-    wall = np.where(direction > 0, view.upper, view.lower)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lengths = (wall - origin) / direction
-    return float(np.min(np.where(direction == 0.0, np.inf, lengths)))
 
 
 AXES, PAIRS, STARTS = 3, 4, 3
@@ -305,7 +303,13 @@ class RegionSearches:
     def far_pairs(self) -> list[Array]:
         """Initial pairs: points of the pool far apart, each with another first point."""
         points = self.pool
-        partner, apart = _farthest(points / self.steps)
+        # For each point the one farthest from it, and their distance, both shape ``(n,)``.
+        scaled = points / self.steps
+        partner, apart = np.zeros(len(scaled), dtype=np.int64), np.zeros(len(scaled))
+        for start in range(0, len(scaled), BLOCK):
+            some = slice(start, start + BLOCK)
+            block = cdist(scaled[some], scaled)
+            partner[some], apart[some] = block.argmax(axis=1), block.max(axis=1)
         found: list[Array] = []
         used: set[int] = set()
         for i in np.argsort(-apart, kind="stable"):
@@ -404,16 +408,6 @@ def _as_row(extreme: Extreme) -> Row:
         "end": extreme.end.value,
         "path": extreme.path,
     }
-
-
-def _farthest(points: Array) -> tuple[IntArray, Array]:
-    """For each point the one farthest from it, and their distance, both shape ``(n,)``."""
-    partners, apart = [], []
-    for start in range(0, len(points), BLOCK):
-        block = cdist(points[start : start + BLOCK], points)
-        partners.append(block.argmax(axis=1))
-        apart.append(block.max(axis=1))
-    return np.concatenate(partners), np.concatenate(apart)
 
 
 # No two sets closer than this part of the diameter.

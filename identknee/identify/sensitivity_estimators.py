@@ -113,7 +113,12 @@ def sobol_indices(outputs: Array, groups: IntArray, seed: int) -> dict[str, Inde
     Statistics 8 (2014) 575-603, doi:10.1214/14-EJS895.
     """
     known: BoolArray = np.asarray(np.isfinite(outputs))
-    centred, floor = _centred(outputs, known)
+    # Outputs less their mean, 0 where unknown, and the variance of each that is rounding.
+    ends, seen = outputs[:, [0, -1]], known[:, [0, -1]]
+    count = np.maximum(seen.sum(axis=(0, 1)), 1)
+    mean = np.where(seen, ends, 0.0).sum(axis=(0, 1)) / count
+    size = np.abs(np.where(known, outputs, 0.0)).max(axis=(0, 1))
+    centred, floor = np.where(known, outputs - mean, 0.0), (ROUNDING * size) ** 2
     member = _membership(groups)
     # Not even the main rule can say anything about an output that is never there.
     everything = np.broadcast_to(known.any(axis=(0, 1)), outputs.shape[::2]).astype(float)
@@ -150,7 +155,15 @@ def morris_indices(points: Array, outputs: Array, groups: IntArray, seed: int) -
     doi:10.1016/j.envsoft.2006.10.004.
     """
     known: BoolArray = np.asarray(np.isfinite(outputs))
-    effects, pairs = _elementary_effects(points, np.where(known, outputs, 0.0), known)
+    # Effects by parameter, shape ``(n, p, m)``, and whether both their ends are known.
+    steps = np.diff(points, axis=1)
+    moved = np.argmax(np.abs(steps), axis=2)
+    sizes = np.take_along_axis(steps, moved[:, :, None], axis=2)
+    change = np.diff(np.where(known, outputs, 0.0), axis=1) / sizes
+    both = known[:, 1:] & known[:, :-1]
+    by_parameter = np.argsort(moved, axis=1)[:, :, None]
+    effects = np.take_along_axis(change * both, by_parameter, axis=1)
+    pairs = np.take_along_axis(both, by_parameter, axis=1)
     whole = np.broadcast_to(np.all(known, axis=1)[:, None, :], pairs.shape).astype(float)
     member = _membership(groups)
 
@@ -246,29 +259,6 @@ def _morris(effects: Array, used: Array, counts: Array, member: Array) -> dict[s
         found["mu"].append(mean @ member * of_group)
         found["sigma"].append(np.sqrt(spread @ member * of_group))
     return {name: np.stack(values, axis=-1) for name, values in found.items()}
-
-
-def _elementary_effects(points: Array, outputs: Array, known: BoolArray) -> tuple[Array, BoolArray]:
-    """Effects by parameter, shape ``(n, p, m)``, and whether both their ends are known."""
-    steps = np.diff(points, axis=1)
-    moved = np.argmax(np.abs(steps), axis=2)
-    sizes = np.take_along_axis(steps, moved[:, :, None], axis=2)
-    change = np.diff(outputs, axis=1) / sizes
-    both = known[:, 1:] & known[:, :-1]
-    by_parameter = np.argsort(moved, axis=1)[:, :, None]
-    return (
-        np.take_along_axis(change * both, by_parameter, axis=1),
-        np.take_along_axis(both, by_parameter, axis=1),
-    )
-
-
-def _centred(outputs: Array, known: BoolArray) -> tuple[Array, Array]:
-    """Outputs less their mean, 0 where unknown, and the variance of each that is rounding."""
-    ends, seen = outputs[:, [0, -1]], known[:, [0, -1]]
-    count = np.maximum(seen.sum(axis=(0, 1)), 1)
-    mean = np.where(seen, ends, 0.0).sum(axis=(0, 1)) / count
-    size = np.abs(np.where(known, outputs, 0.0)).max(axis=(0, 1))
-    return np.where(known, outputs - mean, 0.0), (ROUNDING * size) ** 2
 
 
 def _membership(groups: IntArray) -> Array:
@@ -429,8 +419,14 @@ def hdmr_index(draws: Array, scores: Array, seed: int) -> dict[str, Array]:
     from SALib.analyze import enhanced_hdmr
 
     p = draws.shape[1]
+    # What SALib wants to know, fresh each time because it writes into it.
+    problem = {
+        "num_vars": p,
+        "names": [f"x{i}" for i in range(p)],
+        "bounds": [[float(x.min()), float(x.max())] for x in draws.T],
+    }
     found = enhanced_hdmr.analyze(
-        _description(draws), draws, scores, bootstrap=1, subset=len(scores), seed=1 + seed
+        problem, draws, scores, bootstrap=1, subset=len(scores), seed=1 + seed
     )
     return {name: np.array(found[name][:p], dtype=np.float64) for name in ("Sa", "Sb", "ST")}
 
@@ -541,16 +537,6 @@ def _explained_by_subset(draws: Array, scores: Array) -> dict[tuple[int, ...], f
             share = n * float(projected[of] @ weights) / total
             explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
     return explained
-
-
-def _description(draws: Array) -> dict[str, object]:
-    """What SALib wants to know, fresh each time because it writes into it."""
-    p = draws.shape[1]
-    return {
-        "num_vars": p,
-        "names": [f"x{i}" for i in range(p)],
-        "bounds": [[float(x.min()), float(x.max())] for x in draws.T],
-    }
 
 
 @contextmanager

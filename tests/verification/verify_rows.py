@@ -9,7 +9,7 @@ from rows import Measure, Row
 from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
-from identknee.checks.contradicted_trials import contradicted_rows, suspicious_end_points
+from identknee.checks.table_checks import contradicted_rows, suspicious_end_points
 from identknee.laxity.dominant_load import opposite_pairs
 from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.table import Laxity

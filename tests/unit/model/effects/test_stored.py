@@ -10,7 +10,7 @@ from posed_knees import posed_reference
 from small_knee import small_knee, small_protocol
 from tolerances import SAME_POSE
 
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import named_start
 from identknee.model import contact_geometry as joint
 from identknee.model.effects.library import effect_named, library
 from identknee.model.effects.stored import choice_of, effects_of, values_of
