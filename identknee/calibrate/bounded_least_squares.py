@@ -132,8 +132,6 @@ def feasible_point(normal: Array, bounds: tuple[Array, Array], wanted: float) ->
 
 
 class _ActiveSet:
-    """The state of one active-set search: its point and its active bounds."""
-
     def __init__(
         self,
         matrix: Array,
@@ -228,8 +226,7 @@ def _initial_point(
         tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
         at, held = np.clip(tried, *bounds), ~free
         pushed = side * (square @ tried + slope) > 0.0
-        met = np.sign(tried - at)
-        now = np.where(free, met, np.where(pushed, 0.0, side))
+        now = np.where(free, np.sign(tried - at), np.where(pushed, 0.0, side))
         if np.array_equal(now, side):
             return at, held
         side = now
@@ -532,8 +529,6 @@ class _Point:
 
 @declared
 class _PlannedStep:
-    """The step proposed by the model around a point, and its predicted reduction."""
-
     theta: Array
     step: BoundedStep
     length: float
@@ -754,6 +749,5 @@ class _Search:
 
 
 def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:
-    """Predicted reduction of the deviance by a model after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)

@@ -244,8 +244,7 @@ def _fit(
     if seed < 0:
         raise ValueError(f"the seed must not be negative, got {seed}")
     generator = np.random.default_rng(seed)
-    whole = with_all_priors(problem) if priors else problem
-    part = restricted(whole, fixed, start)
+    part = restricted(with_all_priors(problem) if priors else problem, fixed, start)
     evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()
     try:
@@ -476,15 +475,6 @@ def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array,
 
     A scale is what the parameters leave of the weighted residuals, over the degrees of freedom that
     they leave; 1 where nothing has that unit.
-
-    Parameters
-    ----------
-    data
-        The residuals of the data alone.
-    units
-        As in `fit_student`.
-    theta
-        A fit, shape ``(n,)``.
     """
     residuals, is_there = data.residuals(theta), np.bincount(units, minlength=2) > 0
     scales, weights = np.ones(2), np.ones(units.size)

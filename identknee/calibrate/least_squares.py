@@ -161,8 +161,7 @@ class _Poll:
 
     def lowest(self, steps: Array) -> Array | None:
         """The lowest point after any of the `steps`; None if none is low enough."""
-        tried = [self.after(step) for step in steps]
-        deviance, point = min(tried, key=lambda pair: pair[0])
+        deviance, point = min([self.after(step) for step in steps], key=lambda pair: pair[0])
         return point if self.is_lower(deviance) else None
 
     def after(self, step: Array) -> tuple[float, Array]:
@@ -287,10 +286,15 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
         if found.outcome is Outcome.BUDGET:
             raise SearchEnded(Outcome.BUDGET)
         outcome = found.outcome
-    if outcome is Outcome.VALLEY and _is_on_a_kink(evaluator):
-        outcome = Outcome.MINIMUM
-    if outcome is Outcome.MINIMUM:
-        _final_newton_step(evaluator)
+    best = _best(evaluator)
+    if outcome in {Outcome.VALLEY, Outcome.MINIMUM} and (here := evaluator(best)).is_finite:
+        newton = gauss_newton(here, parameters)
+        # Where a contact point just touches, the derivatives of both sides differ and may point at
+        # each other: the lowest place is there, and no derivative vanishes at it.
+        if outcome is Outcome.MINIMUM or newton.is_on_a_kink:
+            # A last step, which ends on the active bound, not just before it.
+            evaluator.deviance(np.clip(best + newton.step, lower, upper))
+            return Outcome.MINIMUM
     return outcome
 
 
@@ -332,24 +336,6 @@ class _Monitored:
             raise SearchEnded(Outcome.MINIMUM)
         self._accepted = here.theta
         return here.jacobian
-
-
-def _is_on_a_kink(evaluator: Evaluator) -> bool:
-    """Whether the predicted reduction is negligible where the search stopped.
-
-    Where a contact point just touches, the derivatives of both sides differ and may point at each
-    other: the lowest place is there, and no derivative vanishes at it.
-    """
-    here = evaluator(_best(evaluator))
-    return here.is_finite and gauss_newton(here, evaluator.parameters).is_on_a_kink
-
-
-def _final_newton_step(evaluator: Evaluator) -> None:
-    """Take a last Gauss-Newton step, which ends on the active bound, not just before it."""
-    theta = _best(evaluator)
-    parameters = evaluator.parameters
-    step = gauss_newton(evaluator(theta), parameters).step
-    evaluator.deviance(np.clip(theta + step, parameters.lower, parameters.upper))
 
 
 def _best(evaluator: Evaluator) -> Array:

@@ -24,15 +24,12 @@ class AskTellSearch(Protocol):
     @property
     def population(self) -> Array:
         """The candidates it now holds, shape ``(k, n)``."""
-        ...
 
     def ask(self) -> Array:
         """Candidates to evaluate, shape ``(m, n)``; none if there is no new one."""
-        ...
 
     def tell(self, values: Array) -> None:
         """Take the deviances of the candidates just asked, shape ``(m,)``; they may be inf."""
-        ...
 
 
 def run_search(search: AskTellSearch, evaluator: Evaluator) -> Outcome:
@@ -71,8 +68,7 @@ def minimise_by_genetic(
 ) -> Outcome:
     """How pymoo's genetic algorithm with 20 members ended."""
     module = _imported("pymoo.algorithms.soo.nonconvex.ga")
-    search = PymooSearch(module.GA, evaluator.parameters, start, generator)
-    return run_search(search, evaluator)
+    return run_search(PymooSearch(module.GA, evaluator.parameters, start, generator), evaluator)
 
 
 def minimise_by_particle_swarm(

@@ -75,15 +75,12 @@ class Problem(Protocol):
     @property
     def parameters(self) -> Parameters:
         """The free parameters, in the order of theta."""
-        ...
 
     def residuals(self, theta: Array) -> Array:
         """Residuals at `theta`, shape ``(m,)``; all infinite where the model has no prediction."""
-        ...
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, shape ``(m, n)``; asked only where residuals are finite."""
-        ...
 
 
 @declared
@@ -292,17 +289,14 @@ class LinearisedResiduals(Protocol):
     @property
     def theta(self) -> Array:
         """Where, shape ``(n,)``."""
-        ...
 
     @property
     def residuals(self) -> Array:
         """In units of their noise, shape ``(m,)``."""
-        ...
 
     @property
     def jacobian(self) -> Array:
         """Their derivatives, shape ``(m, n)``."""
-        ...
 
 
 class Curvature:
@@ -588,16 +582,13 @@ class Quantity(Protocol):
     @property
     def name(self) -> str:
         """Its name, for example ``"ACL force, trial 12"``."""
-        ...
 
     @property
     def unit(self) -> str:
         """Its unit, for example ``"N"``; empty if it has none."""
-        ...
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
         """Value and gradient by theta, shape ``(n,)``; NaN where there is no prediction."""
-        ...
 
 
 @declared

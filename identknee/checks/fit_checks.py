@@ -333,8 +333,7 @@ def infeasible_proportion(
     steps = np.linalg.solve(kernel.factor.T, draws.T).T
     thetas = parameters.from_working(parameters.to_working(evaluation.theta) + steps)
     inside = np.clip(thetas, parameters.lower, parameters.upper)
-    lost = sum(not np.isfinite(problem.residuals(x)).all() for x in inside)
-    return share(lost, n_draws)
+    return share(sum(not np.isfinite(problem.residuals(x)).all() for x in inside), n_draws)
 
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
@@ -462,8 +461,7 @@ def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
 
 def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iterator[Finding]:
     """From the force, which has one strain where it is not zero."""
-    u = model.tied.n
-    stiffness = PER_KN * model.tied.stiffness(prediction.theta[:u])
+    stiffness = PER_KN * model.tied.stiffness(prediction.theta[: model.tied.n])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = tension / stiffness
     strain = np.where(
@@ -555,7 +553,13 @@ def check_fit(
         Makes the second search; None where the fit is the best of several already.
     """
     model, laxity, theta = fitted.model, fitted.laxity, fitted.prediction.theta
-    found = [*others, *fitted.misfit, *check_model(model, fitted.prediction)]
+    found = [
+        *others,
+        *fitted.misfit,
+        *stability_findings(model),
+        *rim_findings(model.protocol.trials, fitted.prediction),
+        *implausible_findings(model, fitted.prediction),
+    ]
     table = table_findings(model, fitted.table)
     is_doubtful = any(x.severity is not Severity.INFO for x in fitted.misfit)
     if is_doubtful:
@@ -567,7 +571,11 @@ def check_fit(
             found = [x for x in found if not search.is_better or x not in fitted.misfit]
             found.append(search.finding)
     rows = row_findings(model, laxity, theta, fixed=fitted.held)
-    return without_repeats((*table, *trials_by_table(model, fitted.table, rows), *rows, *found))
+    # Trials that the table alone contradicts, where fits begin at its poses.
+    named = {x.where for x in rows}
+    by_table = end_point_findings(fitted.table) if model.poses is not None else ()
+    by_table = tuple(x for x in by_table if x.where not in named)
+    return without_repeats((*table, *by_table, *rows, *found))
 
 
 def check_unfitted(
@@ -579,27 +587,8 @@ def check_unfitted(
     return without_repeats((*signs, *table_findings(model, laxity), *trials, *others))
 
 
-def check_model(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
-    """What speaks against the model at a fit: stability, rims, forces that no knee has."""
-    return (
-        *stability_findings(model),
-        *rim_findings(model.protocol.trials, prediction),
-        *implausible_findings(model, prediction),
-    )
-
-
 def table_findings(model: LaxityModel, laxity: Laxity) -> tuple[Finding, ...]:
     """What is wrong with the whole table; of frames and signs where fits begin at its poses."""
     if model.poses is None:
         return load_findings(laxity)
     return (*frame_findings(model), *load_sign_findings(laxity), *load_findings(laxity))
-
-
-def trials_by_table(
-    model: LaxityModel, laxity: Laxity, rows: Sequence[Finding]
-) -> tuple[Finding, ...]:
-    """Trials that the table alone contradicts where fits begin at its poses, without `rows`."""
-    if model.poses is None:
-        return ()
-    named = {x.where for x in rows}
-    return tuple(x for x in end_point_findings(laxity) if x.where not in named)

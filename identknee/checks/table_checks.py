@@ -340,8 +340,7 @@ def row_findings(
     rows = contradicted_rows(model, laxity, theta, fixed=fixed)
     if not rows:
         return ()
-    rest = without_rows(laxity, rows)
-    compared = LaxityResiduals(model=model, laxity=rest)
+    compared = LaxityResiduals(model=model, laxity=without_rows(laxity, rows))
     part = restricted(
         WhitenedResiduals(problem=compared, sd=_scales(compared, theta)), fixed, theta
     )
@@ -559,22 +558,20 @@ class Convention:
         moved = np.isnan(coordinates) != np.isnan(laxity.coordinates)
         if (same and zero == laxity.zero) or moved.any():
             return None
+        sd = laxity.sd
+        if sd is not None:
+            own = sd[:, order[:n]]
+            sd = np.where(own < LEAST_SD, np.abs(factors[:n]) * own, own)
         try:
             return replace(
                 laxity,
                 protocol=replace(protocol, flexion_deg=flexion, loads=loads),
                 coordinates=coordinates,
-                sd=None if laxity.sd is None else self._sd(laxity.sd),
+                sd=sd,
                 zero=zero,
             )
         except ValueError:
             return None
-
-    def _sd(self, sd: Array) -> Array:
-        n = len(COORDINATES)
-        moved = sd[:, list(self.order[:n])]
-        scaled = np.abs(self.factors[:n]) * moved
-        return np.where(moved < LEAST_SD, scaled, moved)
 
 
 def conventions_of(laxity: Laxity) -> tuple[Convention, ...]:
@@ -583,10 +580,11 @@ def conventions_of(laxity: Laxity) -> tuple[Convention, ...]:
     Signs of columns, of whole motions and of all loads; units; the other side of the body; columns
     exchanged; and what coordinates are counted from.
     """
-    return (*_signs(), *_sides(), *_units(), *_exchanges(), *_zeros(laxity))
+    return (*_of_columns(), *_zeros(laxity))
 
 
-def _signs() -> Iterator[Convention]:
+def _of_columns() -> Iterator[Convention]:
+    """Signs, sides, units and exchanges."""
     for name in COLUMNS:
         yield Convention(what=f"negating {name}", factors=_negated((name,)))
     yield Convention(
@@ -598,9 +596,6 @@ def _signs() -> Iterator[Convention]:
     yield Convention(what="negating all loads (loads on the femur)", factors=_negated(LOADS))
     yield Convention(what="negating both moments", factors=_negated(_MOMENTS))
     yield Convention(what=f"negating {FLEXION}", flexion=-1.0)
-
-
-def _sides() -> Iterator[Convention]:
     for what, names in (
         ("coordinates and loads", (*_SIDED, *_SIDED_LOADS)),
         ("coordinates", _SIDED),
@@ -608,20 +603,14 @@ def _sides() -> Iterator[Convention]:
     ):
         said = f"taking {what} for those of the other side (left for right)"
         yield Convention(what=said, factors=_negated(names))
-
-
-def _units() -> Iterator[Convention]:
-    for names, factor, unit, wanted in _UNITS:
-        what = {_LENGTHS: "lengths", _ANGLES: "angles", _MOMENTS: "moments", _FORCES: "forces"}
-        said = f"taking {what[names]} for {unit} and converting them to {wanted}"
-        yield Convention(what=said, factors=_scaled(names, factor))
+    kinds = {_LENGTHS: "lengths", _ANGLES: "angles", _MOMENTS: "moments", _FORCES: "forces"}
+    for columns, factor, unit, wanted in _UNITS:
+        said = f"taking {kinds[columns]} for {unit} and converting them to {wanted}"
+        yield Convention(what=said, factors=_scaled(columns, factor))
     for name in (*_LENGTHS, *_ANGLES):
         unit, factor = ("m", 1000.0) if name in _LENGTHS else ("radians", 180.0 / np.pi)
         yield Convention(what=f"taking {name} for {unit}", factors=_scaled((name,), factor))
     yield Convention(what=f"taking {FLEXION} for radians", flexion=180.0 / np.pi)
-
-
-def _exchanges() -> Iterator[Convention]:
     for kind in (_LENGTHS, _ANGLES, _MOMENTS, _FORCES):
         for one, other in combinations(kind, 2):
             order = list(range(len(COLUMNS)))
@@ -843,7 +832,6 @@ def _selected(laxity: Laxity, rows: BoolArray) -> Laxity | None:
 
 
 def _promising(as_is: _Table, start: Array) -> list[tuple[Convention, _Table]]:
-    """The conventions worth a fit, the most promising first."""
     here, found = as_is.straight(start), []
     for convention in conventions_of(as_is.laxity):
         changed = convention.applied(as_is.laxity)

@@ -114,7 +114,14 @@ class TrialExclusion:
         for _ in range(MOST_ROUNDS):
             if best.outcome is Outcome.START_FAILED:
                 break
-            beyond, aside = self._search_without_blocking_trials(best, out)
+            # The search continued without the trials that stop it.
+            beyond, aside = best, out
+            for _ in range(MOST_ROUNDS):
+                stopping, begin = self._blocking_trials(beyond.evaluation, aside)
+                if not stopping.any() and begin is beyond.evaluation.theta:
+                    break
+                aside = aside | stopping
+                beyond = self._search(begin, aside)
             if beyond is best:
                 break
             was_excluded = was_excluded | aside
@@ -138,18 +145,6 @@ class TrialExclusion:
         laxity = self.compared.laxity
         coordinates = np.where(aside[:, None], np.nan, laxity.coordinates)
         return Evaluator(self.problem(replace(laxity, coordinates=coordinates)))
-
-    def _search_without_blocking_trials(
-        self, found: ConstrainedFit, aside: BoolArray
-    ) -> tuple[ConstrainedFit, BoolArray]:
-        """The search continued without the trials that stop it, and those excluded."""
-        for _ in range(MOST_ROUNDS):
-            stopping, start = self._blocking_trials(found.evaluation, aside)
-            if not stopping.any() and start is found.evaluation.theta:
-                break
-            aside = aside | stopping
-            found = self._search(start, aside)
-        return found, aside
 
     def _blocking_trials(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
         """The trials whose misfit ends or jumps along the step that fits the others best.
@@ -289,9 +284,10 @@ class TrialSearch:
             return TrialSelection(laxity=self.laxity, start=start, sentences=said)
         best = max(made, key=lambda x: self._start_rank(made[x].theta))
         theta = made[best].theta
+        of_many = f", the best of {len(made)} such starts" if len(made) > 1 else ""
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
-            f"equilibrium. The fit began from {best}{_of(len(made))}. These trials were first "
+            f"equilibrium. The fit began from {best}{of_many}. These trials were first "
             "fitted at the fraction of the load that the model could carry, then at full load "
             f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
@@ -411,10 +407,6 @@ class TrialSearch:
         used = self.with_equilibrium(theta)
         residuals = self.problem(used).residuals(theta)
         return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
-
-
-def _of(n: int) -> str:
-    return f", the best of {n} such starts" if n > 1 else ""
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
@@ -621,25 +613,21 @@ def path_findings(model: LaxityModel) -> tuple[str, ...]:
             "Equilibria were continued under increasing loads from the poses that the fitted "
             "subject states for each flexion angle, not from measured ones."
         )
-        return (sentence, *_extrapolation_findings(model))
+        angles, stated = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
+        low, high = min(stated), max(stated)
+        is_beyond = (angles < low - POSE_EVERY_DEG) | (angles > high + POSE_EVERY_DEG)
+        if is_beyond.any():
+            names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
+            beyond = (
+                f"These poses lie at {low:.0f} to {high:.0f} deg of flexion: predictions of "
+                f"trials far beyond ({names}) is extrapolated."
+            )
+            return (sentence, beyond)
+        return (sentence,)
     sentence = (
         "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
         "for from its measured pose under its whole load, not along a path from the scanned pose, "
         f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
-    )
-    return (sentence,)
-
-
-def _extrapolation_findings(model: LaxityModel) -> tuple[str, ...]:
-    """Which trials lie beyond the flexion angles at which the knee states poses."""
-    angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
-    is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
-    if not is_beyond.any():
-        return ()
-    names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
-    sentence = (
-        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: predictions of "
-        f"trials far beyond ({names}) is extrapolated."
     )
     return (sentence,)
 

@@ -240,7 +240,6 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
 
 
 def _depends_on_order(explanation: Refit) -> bool:
-    """Whether an effect depends on the trial order, which is unknown for future trials."""
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
@@ -362,15 +361,6 @@ def protocol_isolability(
 
     Each structure that may be there is where anatomy puts it, but a rival may be a few millimetres
     away from there. Trials without a prediction are left out.
-
-    Parameters
-    ----------
-    knee, protocol
-        The subject and the trials.
-    sd_mm, sd_deg
-        Standard deviation of the errors, > 0.
-    seed
-        Seed of the distributions under no effect.
     """
     # The base model at the subject's own values, as if fitted to its own prediction.
     model = base_model(knee, protocol)
@@ -387,8 +377,7 @@ def protocol_isolability(
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
-    typical = [candidates.typical(x.name) for x in tried]
-    variants = [x for x in typical if x is not None]
+    variants = [x for x in [candidates.typical(x.name) for x in tried] if x is not None]
     projected = [candidates.projected(x) for x in variants]
     apart = least_favourable_distances(projected, ROOT, candidates.test.signatures)
     confused = groups(_mutual_distances(apart, [x for x in apart.effects if x != IMITATOR]))
@@ -412,7 +401,6 @@ def protocol_isolability(
 
 
 def _mutual_distances(apart: Distances, names: Sequence[str]) -> Distances:
-    """The mutual distances of these effects."""
     rows = [apart.effects.index(x) for x in names]
     columns = [apart.rivals.index(x) for x in names]
     values = apart.values[np.ix_(rows, columns)]

@@ -79,8 +79,7 @@ def library_variants(fitted: FittedModel, effects: Sequence[Effect]) -> tuple[Va
     nothing (such as bundles) those half way to a prior standard deviation.
     """
     grid = [x for x in effects if isinstance(x, MissingStructure) and x.sites_vary]
-    others = [x for x in effects if x not in grid]
-    found = list(_tangents(fitted, others))
+    found = list(_tangents(fitted, [x for x in effects if x not in grid]))
     for structure in grid:
         found += _at_sites(fitted, structure)
     return tuple(found)
@@ -398,16 +397,10 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
     angles = np.unique(protocol.flexion_deg)
     if max(stated.zero_mm, stated.zero_deg) > 0.0 or protocol.n < LEAST_TRIALS * len(angles):
         return None
-    effect = remounting(angles.tolist())
-    if base.fitted.laxity.zero != "absolute" or _score(base, effect) < LEAST_SCORE:
+    if base.fitted.laxity.zero != "absolute":
         return None
-    start = np.r_[base.fitted.theta, effect.parameters.center]
-    explained = refit(base, [effect], [start])
-    return effect if explained.log_evidence > best.log_evidence + FAR_EVIDENCE else None
-
-
-def _score(base: Refit, effect: Remounting) -> float:
-    """How strongly the fit speaks for the errors, in units of its own residuals."""
+    # How strongly the fit speaks for the errors, in units of its own residuals.
+    effect = remounting(angles.tolist())
     fitted, p = base.fitted, effect.parameters
     model = fitted.model.with_effects([*fitted.model.effects, effect])
     jacobian = model.predict_once(np.r_[fitted.theta, p.center]).jacobian
@@ -424,4 +417,7 @@ def _score(base: Refit, effect: Remounting) -> float:
     seen = project_signature(projector, signature)
     left = projector.project(fitted.residual_rows())
     left *= np.sqrt(projector.degrees_of_freedom) / np.linalg.norm(left)
-    return float(seen.z_score(seen.gain((left @ seen.projected)[None]))[0])
+    if seen.z_score(seen.gain((left @ seen.projected)[None]))[0] < LEAST_SCORE:
+        return None
+    explained = refit(base, [effect], [np.r_[base.fitted.theta, effect.parameters.center]])
+    return effect if explained.log_evidence > best.log_evidence + FAR_EVIDENCE else None

@@ -414,8 +414,10 @@ class Refit:
         with: priors are centred on them, and data used for both prior and likelihood would count
         twice. A search starts at the fit with `fitted_values`.
         """
-        model = self.fitted.model
-        return knee_with_effects(model.knee, [(x, self._values(x)) for x in model.effects])
+        model, p = self.fitted.model, self.fitted.model.parameters
+        places = [[p.index(name) for name in x.parameters.names] for x in model.effects]
+        values = [np.asarray(self.fitted.theta[x]) for x in places]
+        return knee_with_effects(model.knee, list(zip(model.effects, values, strict=True)))
 
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
@@ -432,10 +434,6 @@ class Refit:
         """Where the amplitudes of the cause called `name` stand in theta."""
         cause = next(x for x in self.causes if x.name == name)
         return np.array([self.fitted.model.parameters.index(x) for x in cause.parameters.names])
-
-    def _values(self, effect: Effect) -> Array:
-        p = self.fitted.model.parameters
-        return np.asarray(self.fitted.theta[[p.index(x) for x in effect.parameters.names]])
 
     def is_at_range_end(self, name: str) -> bool:
         """Whether an amplitude lies at a non-zero end of its plausible range."""
@@ -620,7 +618,13 @@ def rivals_of(
             found.setdefault(frozenset(x.names), x)
     rivals = []
     for x in found.values():
-        score, highest = _score(best, x, looks)
+        # The score of the one cause that `best` lacks, beside the others' if they were looked at.
+        own, score, highest = set(x.names) - set(best.names), None, 0.0
+        if len(own) == 1:
+            beside = (scores for at, scores in looks if set(at.names) == set(x.names) - own)
+            looked = next(beside, looks[0][1])
+            score = next((y for y in looked.candidates if y.name in own), None)
+            highest = looked.max_score
         rivals.append(
             Rival(
                 refit=x,
@@ -631,16 +635,3 @@ def rivals_of(
             )
         )
     return tuple(rivals)
-
-
-def _score(
-    best: Refit, other: Refit, looks: Sequence[tuple[Refit, Scores]]
-) -> tuple[CandidateScore | None, float]:
-    """The score of the one cause that `best` lacks, beside the others' if they were looked at."""
-    own = [x for x in other.names if x not in best.names]
-    if len(own) != 1:
-        return None, 0.0
-    shared = set(other.names) - {own[0]}
-    beside = next((scores for at, scores in looks if set(at.names) == shared), looks[0][1])
-    score = next((x for x in beside.candidates if x.name == own[0]), None)
-    return score, beside.max_score

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum, unique
+from enum import unique
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -22,6 +22,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.outcome import WithSentence
 
 FLEXION = "flexion"
 DIRECTION = "load direction"
@@ -146,17 +147,7 @@ class Observations:
 
 
 def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observations:
-    """The measured values of `laxity`.
-
-    Parameters
-    ----------
-    laxity
-        The table.
-    sd
-        Standard deviation of the noise of each value, shape ``(n, 5)``; read where measured.
-    noise
-        Covariance of the errors, nuisances included.
-    """
+    """The measured values of `laxity`."""
     trial, coordinate = np.nonzero(laxity.is_measured)
     return Observations(
         trial=trial,
@@ -311,26 +302,19 @@ LEAST_SINGULAR_VALUE = 1e-6
 
 
 @unique
-class FoldStatus(Enum):
+class FoldStatus(WithSentence):
     """Outcome of a fold."""
 
-    SCORED = "scored"
-    NOT_MEASURED = "not_measured"
-    NOT_IDENTIFIED = "not_identified"
-    FAILED = "failed"
-
-    @property
-    def sentence(self) -> str:
-        """The same for a person."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    FoldStatus.SCORED: "The held-out trials were predicted from the others.",
-    FoldStatus.NOT_MEASURED: "No values were measured in the held-out trials or outside them.",
-    FoldStatus.NOT_IDENTIFIED: "Only the held-out trials determine a parameter they depend on.",
-    FoldStatus.FAILED: "The model has no prediction where the fit to the other trials began.",
-}
+    SCORED = ("scored", "The held-out trials were predicted from the others.")
+    NOT_MEASURED = (
+        "not_measured",
+        "No values were measured in the held-out trials or outside them.",
+    )
+    NOT_IDENTIFIED = (
+        "not_identified",
+        "Only the held-out trials determine a parameter they depend on.",
+    )
+    FAILED = ("failed", "The model has no prediction where the fit to the other trials began.")
 
 
 @declared
@@ -794,6 +778,11 @@ def measure_gain(
         errors=discrepancy.errors,
         in_sample=observations.rmse(discrepancy.errors),
     )
+    explained = {}
+    for k in np.unique(observations.coordinate):
+        own = observations.coordinate == k
+        whole, left = (np.sum((x.errors[own] / observations.sd[own]) ** 2) for x in assessed)
+        explained[COORDINATES[k]] = float(1.0 - left / whole) if whole > 0 else 0.0
     extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
     forces = []
     for fitted in (before, after):
@@ -806,7 +795,7 @@ def measure_gain(
         discrepancy=discrepancy,
         elpd=elpd_difference(assessed[0].held_out, assessed[1].held_out),
         elpd_absorbed=elpd_difference(assessed[0].held_out, absorbed.held_out),
-        explained=_explained(observations, assessed[0].errors, assessed[1].errors),
+        explained=explained,
         parameters=_parameter_changes(before, after, assessed[0].posterior, assessed[1].posterior),
         forces=ForceChange(
             trials=tuple(before.laxity.protocol.trials[i] for i in extreme),
@@ -835,15 +824,6 @@ def _assess(
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
         posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
     )
-
-
-def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:
-    shares = {}
-    for i in np.unique(observations.coordinate):
-        own = observations.coordinate == i
-        left, whole = (np.sum((x[own] / observations.sd[own]) ** 2) for x in (after, before))
-        shares[COORDINATES[i]] = float(1.0 - left / whole) if whole > 0 else 0.0
-    return shares
 
 
 def _parameter_changes(

@@ -310,8 +310,7 @@ def better_start(attribution: Attribution) -> Array | None:
     base, best = attribution.base.fitted, attribution.best.fitted
     if best is base:
         return None
-    n_base = attribution.base.n_base
-    start, ends = best.theta[:n_base], [base.evaluation]
+    start, ends = best.theta[: attribution.base.n_base], [base.evaluation]
     again = best_fit_from(base.model, base.laxity, base.noise, [start], ends=ends)
     if again.evaluation.deviance > base.evaluation.deviance - LOWER:
         return None

@@ -127,8 +127,7 @@ def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[st
     """
     if set(found.effects) != set(found.rivals):
         raise ValueError("groups need the distances of effects from one another")
-    order = [found.rivals.index(x) for x in found.effects]
-    values = found.values[:, order]
+    values = found.values[:, [found.rivals.index(x) for x in found.effects]]
     _, labels = connected_components(values < least, directed=False)
     return tuple(
         tuple(name for name, label in zip(found.effects, labels, strict=True) if label == group)

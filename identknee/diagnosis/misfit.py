@@ -1,7 +1,6 @@
 """What of residuals the fitted parameters cannot explain, and whether that looks like noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -96,8 +95,7 @@ def base_projector(jacobian: Array) -> Projector:
         their prior, ``[J; C0^(-1/2)]``, shape ``(m, p)``. Every direction is taken out whose
         singular value is more than 1e-6 of the largest, columns scaled to length 1.
     """
-    nothing = Projector(basis=np.zeros((len(jacobian), 0)))
-    return nothing.with_columns(jacobian)
+    return Projector(basis=np.zeros((len(jacobian), 0))).with_columns(jacobian)
 
 
 @declared
@@ -164,8 +162,7 @@ def nested_check(
         raise ValueError("the fitted parameters explain every pattern; nothing is left to test")
     whole, left = projector.project(residuals), wider.project(residuals)
     squares_left = float(left @ left)
-    square = float(whole @ whole) - squares_left
-    return chi2_or_f_test(square, rank, noise_degrees)
+    return chi2_or_f_test(float(whole @ whole) - squares_left, rank, noise_degrees)
 
 
 def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Array:
@@ -192,8 +189,7 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     powers = np.vander((flexion - middle) / half, min(len(np.unique(flexion)), 3))
     trials = np.einsum("na,np->nap", np.stack(along, axis=1), powers).reshape(len(loads), -1)
     # Patterns of trials, shape ``(n, k)``, in each coordinate alone, measured rows only.
-    n_coordinates = is_measured.shape[1]
-    whole = np.einsum("nk,ij->nijk", trials, np.eye(n_coordinates))
+    whole = np.einsum("nk,ij->nijk", trials, np.eye(is_measured.shape[1]))
     rows = np.asarray(whole[is_measured]).reshape(int(is_measured.sum()), -1)
     return np.asarray(rows[:, rows.any(axis=0)])
 
@@ -387,9 +383,18 @@ def localise(
     seed
         Seed of the draws that adjust the probabilities for the number of cells.
     """
-    # Cells whose shift the parameters do not explain, and those shifts as columns of length 1.
-    whole = _cells(layout)
-    shifts = noise.whiten(np.stack([x.rows for x in whole], axis=1).astype(np.float64))
+    # The cells that have data: coordinate, flexion, direction, and which of the m values it holds.
+    whole: list[tuple[str, float, str, BoolArray]] = []
+    for index, coordinate in enumerate(layout.coordinates):
+        for flexion in np.unique(layout.flexion_deg).tolist():
+            for direction, trials in layout.sides().items():
+                where = np.zeros(layout.is_measured.shape, dtype=bool)
+                where[:, index] = trials & (layout.flexion_deg == flexion)
+                rows = where[layout.is_measured]
+                if rows.any():
+                    whole.append((coordinate, flexion, direction, rows))
+    # Those whose shift the parameters do not explain, and these shifts as columns of length 1.
+    shifts = noise.whiten(np.stack([x[3] for x in whole], axis=1).astype(np.float64))
     columns = projector.project(shifts)
     size = np.linalg.norm(columns, axis=0)
     seen = size > LEAST_LEFT * np.linalg.norm(shifts, axis=0)
@@ -404,55 +409,25 @@ def localise(
     p_values = np.asarray((above + 1) / (N_DRAWS + 1))
     found = tuple(
         CellScore(
-            coordinate=cell.coordinate,
-            flexion_deg=cell.flexion_deg,
-            direction=cell.direction,
+            coordinate=coordinate,
+            flexion_deg=flexion,
+            direction=direction,
             score=float(score),
             p_value=float(p_value),
         )
-        for cell, score, p_value in zip(cells, scores, p_values, strict=True)
+        for (coordinate, flexion, direction, _), score, p_value in zip(
+            cells, scores, p_values, strict=True
+        )
     )
     region = _region(found, layout)
     rows = np.zeros(len(noise.factor), dtype=bool)
     for index in region:
-        rows |= cells[index].rows
+        rows |= cells[index][3]
     share = _fraction_of_excess(residuals, projector, noise, rows) if region else 0.0
     return Localisation(cells=found, region=tuple(found[i] for i in region), share=share)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Cell:
-    """One coordinate, flexion and direction, and which of the m values belong to it."""
-
-    coordinate: str
-    flexion_deg: float
-    direction: str
-    rows: BoolArray
-
-
-def _cells(layout: TrialLayout) -> list[_Cell]:
-    """Those that have data."""
-    cells = []
-    for index, coordinate in enumerate(layout.coordinates):
-        for flexion in np.unique(layout.flexion_deg):
-            for direction, trials in layout.sides().items():
-                where = np.zeros(layout.is_measured.shape, dtype=bool)
-                where[:, index] = trials & (layout.flexion_deg == flexion)
-                rows = where[layout.is_measured]
-                if rows.any():
-                    cells.append(
-                        _Cell(
-                            coordinate=coordinate,
-                            flexion_deg=float(flexion),
-                            direction=direction,
-                            rows=rows,
-                        )
-                    )
-    return cells
-
-
 def _region(cells: Sequence[CellScore], layout: TrialLayout) -> list[int]:
-    """The connected region of significant cells around the highest score."""
     significant = [i for i, x in enumerate(cells) if x.p_value <= LEVEL]
     if not significant:
         return []

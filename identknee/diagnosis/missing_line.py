@@ -363,24 +363,19 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
 
 
 def _refits(base: Refit, theta: Array, scan: LineScan | None) -> list[Refit]:
-    """Refits from theta with the best lines of a scan."""
-    if scan is None:
-        return []
-    return [_refit(base, theta, x) for x in scan.best(TRIES)]
-
-
-def _refit(base: Refit, theta: Array, line: ScannedLine) -> Refit:
-    knee = base.fitted.model.knee
-    structure = MissingStructure(
-        name=NAME,
-        femoral=knee.femur_frame.to_local(line.femur[None]),
-        tibial=knee.tibia_frame.to_local(line.tibia[None]),
-        stiffness_sd=STIFFNESS_SD,
-        site_sd=SITE_SD,
-    )
-    stiffness = max(line.amplitude, LEAST_STIFFNESS)
-    start = np.r_[theta, stiffness, line.strain_pct, np.zeros(6)]
-    return refit(base, [structure], [start], most_steps=ROUGH_STEPS)
+    knee, found = base.fitted.model.knee, []
+    for line in () if scan is None else scan.best(TRIES):
+        structure = MissingStructure(
+            name=NAME,
+            femoral=knee.femur_frame.to_local(line.femur[None]),
+            tibial=knee.tibia_frame.to_local(line.tibia[None]),
+            stiffness_sd=STIFFNESS_SD,
+            site_sd=SITE_SD,
+        )
+        stiffness = max(line.amplitude, LEAST_STIFFNESS)
+        start = np.r_[theta, stiffness, line.strain_pct, np.zeros(6)]
+        found.append(refit(base, [structure], [start], most_steps=ROUGH_STEPS))
+    return found
 
 
 def _lowest(refits: list[Refit]) -> Refit:

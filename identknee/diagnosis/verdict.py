@@ -1,7 +1,7 @@
 """The verdict of a diagnosis, with its reasons."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from functools import reduce
 
@@ -261,8 +261,6 @@ def _promising(step: AttributionStep) -> list[CandidateScore]:
 
 @declared
 class _Task:
-    """One effect to join the model."""
-
     causes: tuple[Effect, ...] = entry("All effects of the model then, this one last")
     starts: tuple[Array, ...] = entry("Where its refit begins, the most promising place first")
     faint: tuple[Array, ...] = entry("Where it begins if none of those has a prediction")
@@ -356,7 +354,6 @@ def _starts(at: Refit, variant: Variant, values: Array, base: Refit) -> list[Arr
 
 
 def _share(variant: Variant, values: Array, share: float) -> Array:
-    """Interpolation between no effect and `values`."""
     part = np.array(variant.values)
     part[variant.moved] += share * (values - variant.values)[variant.moved]
     return part
@@ -456,8 +453,8 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
     is_alone = len(group) == len(best.causes)
     if is_alone and not doubts and not untested:
         return _conclusion(Verdict.NAMED, p_value, best, group, reasons)
-    reasons += [*(x.reason for x in doubts), *untested]
-    short = [x.short for x in doubts] + ["another cause could not be tested"] * bool(untested)
+    reasons += [*(reason for _, reason in doubts), *untested]
+    short = [x for x, _ in doubts] + ["another cause could not be tested"] * bool(untested)
     n = len(best.causes)
     fits_words = "one known cause fits" if n == 1 else f"{n} known causes together fit"
     alone = f"The model gets something wrong, and {fits_words}, with a doubt: {'; '.join(short)}."
@@ -466,7 +463,6 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
 
 
 def _p_words(p_value: float) -> str:
-    """A probability as papers print it."""
     return "p < 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
 
 
@@ -485,8 +481,7 @@ def _noise_explaining_misfit(attribution: Attribution) -> str:
     base, score = attribution.base, attribution.steps[0].scores.p_value
     if np.isfinite(base.noise_degrees):
         return ""
-    enough = (x for x in MULTIPLES if base.alarm_p_value(score, x) > LEVEL)
-    factor = next(enough, None)
+    factor = next((x for x in MULTIPLES if base.alarm_p_value(score, x) > LEVEL), None)
     if factor is None:
         return f" Nor would {MULTIPLES[-1]:g} times the noise stated: the misfit has a pattern."
     return f" About {factor:g} times the noise stated would."
@@ -510,34 +505,28 @@ def _conclusion(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Reservation:
+def _reservations(attribution: Attribution, fits: float) -> list[tuple[str, str]]:
     """Why the best explanation may not be the right one or not all: in a few words, and whole."""
-
-    short: str
-    reason: str
-
-
-def _reservations(attribution: Attribution, fits: float) -> list[_Reservation]:
-    """Reservations about the best explanation, none of them sufficient to reject it."""
     best = attribution.best
     doubts = [
-        _Reservation(
-            short=f"the {cause_label(x.name)} would lie far from its anatomical site",
-            reason=f"The insertions of the {cause_label(x.name)} would lie "
-            f"{shift_mm(best, x):.0f} mm from their anatomical sites, which is rare "
-            f"({_p_words(p_value)}): a structure that no library lists may lie there.",
+        (
+            f"the {cause_label(x.name)} would lie far from its anatomical site",
+            (
+                f"The insertions of the {cause_label(x.name)} would lie "
+                f"{shift_mm(best, x):.0f} mm from their anatomical sites, which is rare "
+                f"({_p_words(p_value)}): a structure that no library lists may lie there."
+            ),
         )
         for x in best.causes
         if isinstance(x, Structure) and (p_value := site_p_value(best, x)) <= FAR_OFF
     ]
     if fits <= FITS:
         reason = f"The remaining misfit is rather improbable ({_p_words(fits)})."
-        doubts.append(_Reservation(short="its residuals exceed the noise", reason=reason))
+        doubts.append(("its residuals exceed the noise", reason))
     if attribution.has_remaining_misfit:
         further = cause_label(attribution.steps[-1].scores.candidates[0].name)
         reason = f"Significant misfit remains: the {further} scores high but does not fit."
-        doubts.append(_Reservation(short="significant misfit remains", reason=reason))
+        doubts.append(("significant misfit remains", reason))
     return doubts
 
 

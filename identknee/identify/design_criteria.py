@@ -6,6 +6,7 @@ sum. A set is then judged without another simulation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Literal, Protocol
 
@@ -38,7 +39,6 @@ class Loss(Protocol):
 
         The information has shape ``(q, n, n)``.
         """
-        ...
 
     def features_of_trials(self, values: Array, jacobians: Array) -> Array:
         """Features of k trials, shape ``(k, f)``.
@@ -46,11 +46,9 @@ class Loss(Protocol):
         From their predictions at q points in units of the noise, shape ``(q, k, m)``, and the
         derivatives of these by the scaled parameters, ``(q, k, m, n)``.
         """
-        ...
 
     def __call__(self, features: Array) -> Array:
         """The loss of each row of summed features, shape ``(k,)`` from ``(k, f)``."""
-        ...
 
 
 @declared
@@ -239,7 +237,6 @@ class CandidateTrials(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the k trials, no two alike."""
-        ...
 
     def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
         """What the chosen trials would measure at `theta`, and its derivatives by theta.
@@ -247,7 +244,6 @@ class CandidateTrials(Protocol):
         In units of the noise, errors independent, shapes ``(k, m)`` and ``(k, m, n)``; NaN in all
         of a trial that has no prediction. A trial may be chosen more than once.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -385,7 +381,7 @@ def predict_candidates(
     scales = scaled_units(problem.parameters, "typical")
     thetas = np.vstack([before[0].optimum, *(profile.thetas for profile in before)])
     likely = [profile.deltas <= profile.threshold for profile in before]
-    rows = list(executor.map(_PointPrediction(problem=problem, candidates=candidates), thetas))
+    rows = list(executor.map(partial(_at_point, problem, candidates), thetas))
     return CandidatePredictions(
         thetas=thetas,
         is_likely=np.concatenate([[True], *likely]),
@@ -396,19 +392,12 @@ def predict_candidates(
     )
 
 
-@declared
-class _PointPrediction:
+def _at_point(
+    problem: Problem, candidates: CandidateTrials, theta: Array
+) -> tuple[Array, Array, Array]:
     """Information of the trials made and predictions of all candidates at one theta."""
-
-    problem: Problem
-    candidates: CandidateTrials
-
-    def __call__(self, theta: Array) -> tuple[Array, Array, Array]:
-        everything = range(len(self.candidates.names))
-        return (
-            evaluate(self.problem, theta).information,
-            *self.candidates.predict(theta, everything),
-        )
+    predicted = candidates.predict(theta, range(len(candidates.names)))
+    return (evaluate(problem, theta).information, *predicted)
 
 
 def paths_of(

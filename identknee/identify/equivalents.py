@@ -1,7 +1,7 @@
 """Parameter sets that a measurement cannot distinguish, and the ranges over them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from enum import Enum, unique
+from enum import unique
 from functools import partial
 from typing import Any
 
@@ -23,6 +23,7 @@ from identknee.identify.region import (
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
+from identknee.runs.outcome import WithSentence
 from identknee.runs.store import Store, resumable_map
 
 # A point this close to the limit is on the boundary of the region, for a ray.
@@ -126,8 +127,7 @@ def farthest_first(points: Array, first: IntArray, n: int, least: float) -> IntA
         if distance[next_one] < least:
             break
         chosen.append(next_one)
-        apart = np.linalg.norm(points - points[next_one], axis=1)
-        distance = np.minimum(distance, apart)
+        distance = np.minimum(distance, np.linalg.norm(points - points[next_one], axis=1))
     return np.array(chosen, dtype=np.int64)
 
 
@@ -416,22 +416,11 @@ RAYS_PER_SET, MOST_ROUNDS = 2, 3
 
 
 @unique
-class Completeness(Enum):
+class Completeness(WithSentence):
     """Whether as many sets were found as asked for; the value is the word written to files."""
 
-    COMPLETE = "complete"
-    FEWER = "fewer"
-
-    @property
-    def sentence(self) -> str:
-        """What happened, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Completeness.COMPLETE: "All requested sets were found.",
-    Completeness.FEWER: "The region contains fewer sufficiently different sets than requested.",
-}
+    COMPLETE = ("complete", "All requested sets were found.")
+    FEWER = ("fewer", "The region contains fewer sufficiently different sets than requested.")
 
 
 @declared
@@ -637,8 +626,7 @@ def _spread(searches: RegionSearches, n: int) -> Array:
     """Points of the pool far from one another, the farthest pair first, shape ``(<= n, p)``."""
     diameter, pair = searches.farthest_pair
     points = np.vstack([pair, searches.pool])
-    ends = np.arange(2)
-    chosen = farthest_first(points / searches.steps, ends, n, SEPARATION * diameter)
+    chosen = farthest_first(points / searches.steps, np.arange(2), n, SEPARATION * diameter)
     return np.asarray(points[chosen])
 
 

@@ -1,8 +1,7 @@
 """The Fisher information at one point, with its spectrum and collinearity."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
+from functools import partial
 from itertools import combinations
 from typing import Literal
 
@@ -23,6 +22,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
+from identknee.runs.outcome import WithSentence
 from identknee.runs.progress import progress
 
 # In scaled units. The perturbation must be small against any curvature and large against the
@@ -64,17 +64,6 @@ def jacobian_noise(
     evaluator: Evaluator, at: Evaluation, scales: Array, *, seed: int = 0
 ) -> JacobianNoise:
     """The errors of the Jacobian at a point.
-
-    Parameters
-    ----------
-    evaluator
-        Evaluations of the problem.
-    at
-        The point, within the bounds, with a prediction.
-    scales
-        One scaled unit of each parameter, shape ``(n,)``.
-    seed
-        Seed of the perturbations.
 
     Raises
     ------
@@ -489,32 +478,19 @@ DAMPING = 1e-6
 NO_INFLUENCE, NO_SPEED = 1e-3, 1e-3
 
 
-class Boundary(Enum):
+class Boundary(WithSentence):
     """What ends a geodesic."""
 
-    NO_INFLUENCE = "no_influence"
-    ZERO = "zero"
-    BOUND = "bound"
-    STANDSTILL = "standstill"
-    INFINITY = "infinity"
-    CLIFF = "cliff"
-    BUDGET = "budget"
-
-    @property
-    def sentence(self) -> str:
-        """The same as a full sentence, to which the parameters involved are added."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Boundary.NO_INFLUENCE: "These no longer affect any prediction, as where a ligament is slack.",
-    Boundary.ZERO: "Here zero is reached, the least value.",
-    Boundary.BOUND: "Here a bound of the range is reached.",
-    Boundary.STANDSTILL: "The predictions stop changing along a combination of these.",
-    Boundary.INFINITY: "These diverge, and the predictions keep changing.",
-    Boundary.CLIFF: "Beyond this point the model has no prediction.",
-    Boundary.BUDGET: "The budget of simulations was exhausted on the way.",
-}
+    NO_INFLUENCE = (
+        "no_influence",
+        "These no longer affect any prediction, as where a ligament is slack.",
+    )
+    ZERO = ("zero", "Here zero is reached, the least value.")
+    BOUND = ("bound", "Here a bound of the range is reached.")
+    STANDSTILL = ("standstill", "The predictions stop changing along a combination of these.")
+    INFINITY = ("infinity", "These diverge, and the predictions keep changing.")
+    CLIFF = ("cliff", "Beyond this point the model has no prediction.")
+    BUDGET = ("budget", "The budget of simulations was exhausted on the way.")
 
 
 @declared
@@ -625,8 +601,6 @@ def geodesics(
 
 
 class _Walk:
-    """The integration of one geodesic."""
-
     def __init__(self, problem: Problem, scales: Array, budget: int) -> None:
         self._evaluator = Evaluator(problem, budget=budget)
         self._parameters = problem.parameters
@@ -682,8 +656,7 @@ class _Walk:
                 aside = _unit(along + 0.5 * length * bending)
                 end = self._moved(at, aside, length)
                 if end.is_finite:
-                    turned = along + length * self._geodesic_acceleration(half, aside)
-                    return end, _unit(turned)
+                    return end, _unit(along + length * self._geodesic_acceleration(half, aside))
             length *= 0.5
         return None
 
@@ -757,26 +730,15 @@ NO_RANK = -1
 NO_SLOPE = 1e-12
 
 
-class Structure(Enum):
+class Structure(WithSentence):
     """The verdict on structural identifiability."""
 
-    FULL_RANK = "full_rank"
-    RANK_DEFICIENT = "rank_deficient"
-    UNKNOWN = "unknown"
-
-    @property
-    def sentence(self) -> str:
-        """It, as a full sentence."""
-        return _STRUCTURE_SENTENCES[self]
-
-
-_STRUCTURE_SENTENCES = {
-    Structure.FULL_RANK: "All parameters are structurally identifiable (locally).",
-    Structure.RANK_DEFICIENT: (
-        "Even noise-free data would leave a combination of parameters undetermined."
-    ),
-    Structure.UNKNOWN: "The model has no prediction at any of the random points.",
-}
+    FULL_RANK = ("full_rank", "All parameters are structurally identifiable (locally).")
+    RANK_DEFICIENT = (
+        "rank_deficient",
+        "Even noise-free data would leave a combination of parameters undetermined.",
+    )
+    UNKNOWN = ("unknown", "The model has no prediction at any of the random points.")
 
 
 @declared
@@ -894,7 +856,7 @@ def check_structure(
         int(np.ceil(np.log2(n_points)))
     )
     thetas = np.asarray(bounds[0] + (bounds[1] - bounds[0]) * drawn[:n_points])
-    found = executor.map(_PointRank(problem=problem), thetas)
+    found = executor.map(partial(_point_rank, problem), thetas)
     rows = list(progress(found, total=len(thetas), description="ranks"))
     ranks = np.array([rank for rank, _, _, _ in rows])
     best = [row for row in rows if row[0] == ranks.max() != NO_RANK]
@@ -909,25 +871,17 @@ def check_structure(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _PointRank:
-    """The rank at a point: a class, so that it reaches other processes."""
-
-    problem: Problem
-
-    def __call__(self, theta: Array) -> tuple[int, Array, BoolArray, BoolArray]:
-        """Rank, singular values, parameters without influence, those in undetermined directions."""
-        parameters = self.problem.parameters
-        n = parameters.n
-        at = evaluate(self.problem, theta)
-        if not at.is_finite:
-            return NO_RANK, np.full(n, np.nan), np.zeros(n, bool), np.zeros(n, bool)
-        jacobian = at.jacobian * scaled_units(parameters, "typical")
-        lengths = np.linalg.norm(jacobian, axis=0)
-        dead = lengths < NO_SLOPE
-        columns = np.where(dead, 0.0, jacobian / np.where(dead, 1.0, lengths))
-        padded = np.vstack([columns, np.zeros((n, n))])
-        _, sizes, rows = np.linalg.svd(padded, full_matrices=False)
-        is_known = sizes > RANK_TOLERANCE * max(float(sizes[0]), 1.0)
-        loose = (np.abs(rows[~is_known]) > np.sqrt(RANK_TOLERANCE)).any(axis=0)
-        return int(is_known.sum()), sizes, dead, loose
+def _point_rank(problem: Problem, theta: Array) -> tuple[int, Array, BoolArray, BoolArray]:
+    """Rank, singular values, parameters without influence, those in undetermined directions."""
+    n, at = problem.parameters.n, evaluate(problem, theta)
+    if not at.is_finite:
+        return NO_RANK, np.full(n, np.nan), np.zeros(n, bool), np.zeros(n, bool)
+    jacobian = at.jacobian * scaled_units(problem.parameters, "typical")
+    lengths = np.linalg.norm(jacobian, axis=0)
+    dead = lengths < NO_SLOPE
+    columns = np.where(dead, 0.0, jacobian / np.where(dead, 1.0, lengths))
+    padded = np.vstack([columns, np.zeros((n, n))])
+    _, sizes, rows = np.linalg.svd(padded, full_matrices=False)
+    is_known = sizes > RANK_TOLERANCE * max(float(sizes[0]), 1.0)
+    loose = (np.abs(rows[~is_known]) > np.sqrt(RANK_TOLERANCE)).any(axis=0)
+    return int(is_known.sum()), sizes, dead, loose

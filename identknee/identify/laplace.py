@@ -82,13 +82,6 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
 
     A bound that cuts off a tail of more than 2.5 % is the end of the interval. Exact where one
     component is cut off at most, else averaged over points of a Sobol sequence.
-
-    Parameters
-    ----------
-    mean, covariance
-        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
-    lower, upper
-        Bounds, perhaps infinite, shape ``(p,)``.
     """
     _, cut = _cut(mean, covariance, (lower, upper), LEAST_SHARED)
     shared = _draws(mean, covariance, lower, upper, cut)
@@ -158,7 +151,6 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
 def _quantile(
     share: float, log_weights: Array, middles: Array, sd: float, low: Array, high: Array
 ) -> float:
-    """Quantile of a mixture of truncated normal variables."""
     whole = log_weights + log_interval_mass(low, high)
     # A middle far beyond the bounds has no share within them.
     used = whole > whole.max() - NEGLIGIBLE
@@ -350,6 +342,5 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
 
 
 def _log_where_lognormal(values: Array, is_log: BoolArray) -> Array:
-    """The logarithms where the prior is lognormal."""
     with np.errstate(divide="ignore"):
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

@@ -97,21 +97,7 @@ def check_within_bounds(theta: Array, parameters: Parameters) -> None:
 def sobol_around(
     parameters: Parameters, center: Array, n: int, *, reach: float, seed: int
 ) -> Array:
-    """Sobol points around a center, within the bounds, shape ``(n, p)``; nuisances stay there.
-
-    Parameters
-    ----------
-    parameters
-        For the bounds and the priors.
-    center
-        Shape ``(p,)``.
-    n
-        Number of points.
-    reach
-        How far they lie at most, in prior standard deviations.
-    seed
-        Seed of the scrambling.
-    """
+    """Sobol points around a center, within the bounds, shape ``(n, p)``; nuisances stay there."""
     # Sobol points are balanced in powers of two only; the rest of such a set is left out.
     drawn = scipy.stats.qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[
         :n
@@ -250,15 +236,7 @@ class NuisanceGroup:
 
 
 def nuisance_estimates(problem: Problem, theta: Array) -> tuple[NuisanceEstimate, ...]:
-    """The nuisances of a problem at its best fit, in the order of theta; empty without any.
-
-    Parameters
-    ----------
-    problem
-        Problem whose residuals are in units of their noise, with rows for the priors of nuisances.
-    theta
-        The best fit, shape ``(n,)``.
-    """
+    """The nuisances of a problem at its best fit, in the order of theta; empty without any."""
     p = problem.parameters
     places = np.flatnonzero(~p.is_of_interest)
     if not places.size:

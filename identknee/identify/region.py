@@ -1,7 +1,7 @@
 """The region of parameter sets with predictions equivalent to a given one's."""
 
 from collections.abc import Mapping
-from enum import Enum, unique
+from enum import unique
 from typing import Protocol
 
 import clarabel
@@ -12,6 +12,7 @@ from scipy import sparse
 from identknee.calibrate.problem import RANK_TOLERANCE, Evaluator, Problem, Quantity, typical_steps
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
+from identknee.runs.outcome import WithSentence
 
 ALL = "all"
 LEVEL = 0.05
@@ -71,11 +72,6 @@ def power_of_best_test(squared_distance: float) -> float:
     Both predictions are known and the noise is normal, so that the likelihood-ratio test is the
     most powerful one there is (Neyman and Pearson); it sees a shift of D standard deviations.
 
-    Parameters
-    ----------
-    squared_distance
-        D^2, not negative.
-
     Examples
     --------
     >>> round(power_of_best_test(1.0), 2)
@@ -119,21 +115,17 @@ class RegionConstraints(Protocol):
     @property
     def lower(self) -> Array:
         """Lower bounds, shape ``(n,)``."""
-        ...
 
     @property
     def upper(self) -> Array:
         """Upper bounds, shape ``(n,)``."""
-        ...
 
     @property
     def steps(self) -> Array:
         """Typical steps, shape ``(n,)``."""
-        ...
 
     def __call__(self, theta: Array) -> Blocks:
         """Blocks at `theta`, shape ``(n,)``."""
-        ...
 
 
 class RegionView:
@@ -265,13 +257,6 @@ def best_step(model: LocalModel, *, penalty: float) -> ModelStep:
     bounds and to ``excess >= 0``: a second-order cone program with an interior whatever the blocks
     are, solved by Clarabel's interior-point method.
 
-    Parameters
-    ----------
-    model
-        What to maximise, and where.
-    penalty
-        Price of an excess; large enough, and there is none unless the model's region is empty.
-
     References
     ----------
     P. J. Goulart and Y. Chen, Clarabel: An interior-point solver for conic programs with quadratic
@@ -329,28 +314,14 @@ TINY = float(np.finfo(float).tiny)
 
 
 @unique
-class ExtremumEnd(Enum):
+class ExtremumEnd(WithSentence):
     """What limits a quantity; the value is the word written to files."""
 
-    LIMIT = "limit"
-    BOUND = "bound"
-    INTERIOR = "interior"
-    CLIFF = "cliff"
-    BUDGET = "budget"
-
-    @property
-    def sentence(self) -> str:
-        """What happened, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    ExtremumEnd.LIMIT: "Beyond this point the predictions differ by more than the limit.",
-    ExtremumEnd.BOUND: "Only the parameter bounds limit it; the data do not.",
-    ExtremumEnd.INTERIOR: "A local extremum inside the region, away from its limit and bounds.",
-    ExtremumEnd.CLIFF: "The model has no equilibrium beyond; the range may be wider.",
-    ExtremumEnd.BUDGET: "The search reached its step limit; the range may be wider.",
-}
+    LIMIT = ("limit", "Beyond this point the predictions differ by more than the limit.")
+    BOUND = ("bound", "Only the parameter bounds limit it; the data do not.")
+    INTERIOR = ("interior", "A local extremum inside the region, away from its limit and bounds.")
+    CLIFF = ("cliff", "The model has no equilibrium beyond; the range may be wider.")
+    BUDGET = ("budget", "The search reached its step limit; the range may be wider.")
 
 
 @declared
@@ -453,13 +424,6 @@ def farthest_pair(view: RegionView, first: Array, second: Array) -> Extreme:
     """Two points of the region as far apart as a search from two others finds them.
 
     Theta of the answer holds one after the other, shape ``(2 n,)``.
-
-    Parameters
-    ----------
-    view
-        The region.
-    first, second
-        Points with a prediction, shape ``(n,)``, not the same.
     """
     start = np.concatenate([first, second])
     return extremise(PairView(view), PairDistance(view.steps), start, sign=1.0)

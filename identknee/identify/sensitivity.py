@@ -63,15 +63,7 @@ class Box:
 
 
 def box_around(parameters: Parameters, center: Array) -> Box:
-    """The usual box: stiffness +-50 %, reference strain +-3 %, other parameters +-1.5 prior sd.
-
-    Parameters
-    ----------
-    parameters
-        For names, bounds and priors; the box stays within the bounds.
-    center
-        Its middle, shape ``(n,)``.
-    """
+    """The usual box: stiffness +-50 %, reference strain +-3 %, other parameters +-1.5 prior sd."""
     sd = np.where(parameters.is_log, parameters.prior_sd * np.abs(center), parameters.prior_sd)
     reach = values_by_unit(parameters, STIFFNESS_SHARE * np.abs(center), STRAIN_PCT, PRIOR_SDS * sd)
     return Box(
@@ -160,16 +152,13 @@ class Outputs(Protocol):
     @property
     def parameters(self) -> Parameters:
         """The parameters, in the order of theta."""
-        ...
 
     @property
     def groups(self) -> tuple[str, ...]:
         """The group of each output, shape ``(m,)``; the outputs of a group share their unit."""
-        ...
 
     def evaluate(self, theta: Array) -> Array:
         """The outputs at `theta`, shape ``(m,)``; NaN where one has no prediction."""
-        ...
 
 
 @declared

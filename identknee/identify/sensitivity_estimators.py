@@ -262,7 +262,6 @@ def _morris(effects: Array, used: Array, counts: Array, member: Array) -> dict[s
 
 
 def _membership(groups: IntArray) -> Array:
-    """Which output belongs to which group, shape ``(m, k)``."""
     return np.asarray(groups[:, None] == np.arange(int(groups.max()) + 1), dtype=np.float64)
 
 
@@ -455,13 +454,30 @@ def shapley_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
             f"Shapley effects of {p} parameters need 2^{p} regressions; hold some fixed so that at "
             f'most {MOST_SHAPLEY_PARAMETERS} remain, or use "delta"'
         )
-    explained = _explained_by_subset(draws, scores)
+    # Share of the variance explained by a quadratic function of each subset of parameters.
+    n = len(draws)
+    standard = (draws - draws.mean(axis=0)) / draws.std(axis=0)
+    pairs = [(i, j) for i in range(p) for j in range(i, p)]
+    terms = np.column_stack([standard, *(standard[:, i] * standard[:, j] for i, j in pairs)])
+    terms -= terms.mean(axis=0)
+    centred = scores - scores.mean()
+    total = float(centred @ centred)
+    gram, projected = terms.T @ terms / n, terms.T @ centred / n
+    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
+    owners = [{i} for i in range(p)] + [{i, j} for i, j in pairs]
+    explained: dict[tuple[int, ...], float] = {(): 0.0}
+    for size in range(1, p + 1):
+        for subset in combinations(range(p), size):
+            of = [k for k, owner in enumerate(owners) if owner <= set(subset)]
+            weights = np.linalg.solve(gram[np.ix_(of, of)], projected[of])
+            share = n * float(projected[of] @ weights) / total
+            explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
     effects = np.zeros(p)
     for subset in explained:
         for i in set(range(p)) - set(subset):
             weight = factorial(len(subset)) * factorial(p - len(subset) - 1) / factorial(p)
-            joined = tuple(sorted((*subset, i)))
-            effects[i] += weight * (explained[joined] - explained[subset])
+            joined = explained[tuple(sorted((*subset, i)))]
+            effects[i] += weight * (joined - explained[subset])
     return {"shapley": effects}
 
 
@@ -515,28 +531,6 @@ def _delta_of_binary_output(column: Array, scores: Array, edges: Array) -> float
     high = np.bincount(classes, weights=is_high, minlength=len(edges) - 1)
     apart = np.abs(high / np.maximum(count, 1) - is_high.mean())
     return float(np.sum(count * apart) / len(scores))
-
-
-def _explained_by_subset(draws: Array, scores: Array) -> dict[tuple[int, ...], float]:
-    """Share of the variance explained by a quadratic function of each subset of parameters."""
-    n, p = draws.shape
-    standard = (draws - draws.mean(axis=0)) / draws.std(axis=0)
-    pairs = [(i, j) for i in range(p) for j in range(i, p)]
-    terms = np.column_stack([standard, *(standard[:, i] * standard[:, j] for i, j in pairs)])
-    terms -= terms.mean(axis=0)
-    centred = scores - scores.mean()
-    total = float(centred @ centred)
-    gram, projected = terms.T @ terms / n, terms.T @ centred / n
-    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
-    owners = [{i} for i in range(p)] + [{i, j} for i, j in pairs]
-    explained: dict[tuple[int, ...], float] = {(): 0.0}
-    for size in range(1, p + 1):
-        for subset in combinations(range(p), size):
-            of = [k for k, owner in enumerate(owners) if owner <= set(subset)]
-            weights = np.linalg.solve(gram[np.ix_(of, of)], projected[of])
-            share = n * float(projected[of] @ weights) / total
-            explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
-    return explained
 
 
 @contextmanager

@@ -410,7 +410,20 @@ def shell_starts(
         for group in range(int(groups.max()) + 1):
             of_group = np.flatnonzero(groups == group)
             span = distance * units[of_group]
-            starts[i, of_group] = _on_shell(of_group, middle, span, parameters, generator)
+            low, high = parameters.lower[of_group], parameters.upper[of_group]
+            for _ in range(MAX_DRAWS):
+                shares = generator.dirichlet(np.ones(of_group.size)) * of_group.size
+                signs = generator.choice([-1.0, 1.0], of_group.size)
+                values = middle[of_group] + signs * shares * span
+                if np.all((values >= low) & (values <= high)):
+                    break
+            else:
+                names = ", ".join(parameters.names[k] for k in of_group)
+                raise ValueError(
+                    f"the bounds of {names} leave no room for starts at a distance of "
+                    f"{float(span.max()):g}; widen the bounds or choose smaller distances"
+                )
+            starts[i, of_group] = values
     return starts
 
 
@@ -444,27 +457,6 @@ def unit_groups(parameters: Parameters) -> IntArray:
         for name in parameters.names
     ]
     return np.asarray(np.unique(kinds, return_inverse=True)[1], dtype=np.int64)
-
-
-def _on_shell(
-    of_group: IntArray,
-    center: Array,
-    span: Array,
-    parameters: Parameters,
-    generator: np.random.Generator,
-) -> Array:
-    """Values of a group's parameters on its shell, inside their bounds."""
-    low, high = parameters.lower[of_group], parameters.upper[of_group]
-    for _ in range(MAX_DRAWS):
-        shares = generator.dirichlet(np.ones(of_group.size)) * of_group.size
-        values = center[of_group] + generator.choice([-1.0, 1.0], of_group.size) * shares * span
-        if np.all((values >= low) & (values <= high)):
-            return np.asarray(values)
-    names = ", ".join(parameters.names[i] for i in of_group)
-    raise ValueError(
-        f"the bounds of {names} leave no room for starts at a distance of "
-        f"{float(span.max()):g}; widen the bounds or choose smaller distances"
-    )
 
 
 def _check_number(n: int) -> None:
@@ -570,8 +562,13 @@ def find_basins(problem: Problem, searches: SweepSearches) -> Basins:
         leader = int(left[0])
         away = np.abs(searches.polished[left] - searches.polished[leader]) / scales
         near = away.max(axis=1) <= TOLERANCE
-        joined = _joined(problem, searches, leader, leaders)
-        if joined is None:
+        # The basin of a leader nearby without a barrier between, or else a new one.
+        others = searches.polished[leaders]
+        apart = np.max(np.abs(others - searches.polished[leader]) / scales, axis=1)
+        for joined in np.argsort(apart, kind="stable")[:N_NEIGHBOURS].tolist():
+            if not has_barrier(problem, others[joined], searches.polished[leader]):
+                break
+        else:
             joined = len(leaders)
             leaders.append(leader)
         labels[left[near]] = joined
@@ -602,16 +599,6 @@ def has_barrier(problem: Problem, first: Array, second: Array) -> bool:
     return False
 
 
-def _joined(problem: Problem, searches: SweepSearches, end: int, leaders: list[int]) -> int | None:
-    """Index of the basin that `end` belongs to; None if it is a new one."""
-    scales = typical_steps(searches.parameters)
-    away = np.max(np.abs(searches.polished[leaders] - searches.polished[end]) / scales, axis=1)
-    for place in np.argsort(away, kind="stable")[:N_NEIGHBOURS]:
-        if not has_barrier(problem, searches.polished[leaders[place]], searches.polished[end]):
-            return int(place)
-    return None
-
-
 @declared
 class UnseenMass:
     """Good-Turing estimate of the mass of unseen basins, among starts that end in any."""
@@ -635,11 +622,6 @@ def unseen_mass(labels: IntArray) -> UnseenMass:
     the share that did is exact for independent starts, whatever the basins. All starts together
     leave no more unseen than the first half does. Starts of a Sobol sequence are spread more evenly
     than independent ones.
-
-    Parameters
-    ----------
-    labels
-        From `identknee.identify.sweep.find_basins`, shape ``(N,)``; -1 is left out.
 
     References
     ----------
@@ -785,7 +767,6 @@ def radius(found: Recovery, *, probability: float = OFTEN) -> Radius:
 
 
 def _crossing(distances: Array, curve: Array, level: float) -> float:
-    """Where a decreasing curve crosses `level`."""
     below = np.flatnonzero(curve < level)
     if below.size == 0:
         return np.inf

@@ -298,7 +298,7 @@ def _alike(fits: Mapping[str, Calibration]) -> str:
 
 
 def _end(fit: Calibration) -> str:
-    return ENDED.get(fit.outcome, fit.outcome.value)
+    return ENDED.get(fit.outcome, str(fit.outcome.value))
 
 
 def _method(fit: Calibration) -> str:

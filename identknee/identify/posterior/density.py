@@ -100,8 +100,7 @@ def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
     low, high = _working_bounds(parameters)
     center, sd = working_center(parameters), parameters.prior_sd
     first, last = ndtr((low - center) / sd), ndtr((high - center) / sd)
-    working = center + sd * ndtri(first + probabilities * (last - first))
-    theta = parameters.from_working(working)
+    theta = parameters.from_working(center + sd * ndtri(first + probabilities * (last - first)))
     return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
 
 

@@ -503,8 +503,7 @@ class KernelMixture:
 
     def log_density(self, points: Array) -> Array:
         """Log density of points, shape ``(count, n)``; shape ``(count,)``."""
-        differences = points[:, None, :] - self.centers
-        scaled = np.einsum("kji,pkj->pki", self.factors, differences)
+        scaled = np.einsum("kji,pkj->pki", self.factors, points[:, None, :] - self.centers)
         squares = np.sum(scaled**2, axis=2)
         return np.asarray(logsumexp(self._log_weights + _log_kernel(squares, points), axis=1))
 
@@ -552,34 +551,23 @@ class SnookerMove(RedBlueMove):  # type: ignore[misc]
         return proposed, (sample.shape[1] - 1) * np.log(new_length / length)
 
 
-def newton_moves() -> list[tuple[Move, float]]:
-    """The default: mostly Newton moves, with a few that bring back outlying walkers."""
-    return [(NewtonMove(), 0.85), (OwnKernelMove(), 0.05), (DEMove(), 0.08), (SnookerMove(), 0.02)]
-
-
-def hamiltonian_moves() -> list[tuple[Move, float]]:
-    """For many parameters: mostly trajectories; Newton steps lead from one basin to another."""
-    return [(HamiltonianMove(), 0.85), (NewtonMove(), 0.15)]
-
-
 def surrogate_moves(surrogate: Surrogate) -> list[tuple[Move, float]]:
     """For many parameters: mostly trajectories on a surrogate, and the exact ones for far away."""
     return [(SurrogateMove(surrogate), 0.85), (NewtonMove(), 0.05), (HamiltonianMove(), 0.1)]
 
 
-def difference_moves() -> list[tuple[Move, float]]:
-    """Differential evolution for four steps in five and snooker for the fifth; no derivatives."""
-    return [(DEMove(), 0.8), (SnookerMove(), 0.2)]
-
-
-def stretch_moves() -> list[tuple[Move, float]]:
-    """The stretch move, emcee's default, for comparison."""
-    return [(StretchMove(), 1.0)]
-
-
 MOVES: dict[str, Callable[[], list[tuple[Move, float]]]] = {
-    "newton": newton_moves,
-    "hamiltonian": hamiltonian_moves,
-    "difference": difference_moves,
-    "stretch": stretch_moves,
+    # The default: mostly Newton moves, with a few that bring back outlying walkers.
+    "newton": lambda: [
+        (NewtonMove(), 0.85),
+        (OwnKernelMove(), 0.05),
+        (DEMove(), 0.08),
+        (SnookerMove(), 0.02),
+    ],
+    # For many parameters: mostly trajectories; Newton steps lead from one basin to another.
+    "hamiltonian": lambda: [(HamiltonianMove(), 0.85), (NewtonMove(), 0.15)],
+    # Without derivatives.
+    "difference": lambda: [(DEMove(), 0.8), (SnookerMove(), 0.2)],
+    # The default of emcee, for comparison.
+    "stretch": lambda: [(StretchMove(), 1.0)],
 }

@@ -7,7 +7,7 @@ of one walker depend on one another, and only the order of its steps shows how m
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum, unique
+from enum import unique
 
 import numpy as np
 import scipy
@@ -19,6 +19,7 @@ from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior,
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.outcome import WithSentence
 from identknee.runs.record import Record
 
 # The sum over lags ends at the first lag beyond so many autocorrelation times (Sokal).
@@ -158,26 +159,13 @@ BURN_IN = 0.2
 
 
 @unique
-class SampleOutcome(Enum):
+class SampleOutcome(WithSentence):
     """How sampling ended; the value is the word written to files."""
 
-    CONVERGED = "converged"
-    BUDGET = "budget"
-    STUCK = "stuck"
-    START_FAILED = "start_failed"
-
-    @property
-    def sentence(self) -> str:
-        """What happened, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    SampleOutcome.CONVERGED: "Every condition of convergence is met.",
-    SampleOutcome.BUDGET: "The budget of simulations was exhausted before the sample converged.",
-    SampleOutcome.STUCK: "A walker is stuck, so the sample is not reliable.",
-    SampleOutcome.START_FAILED: "The model has no prediction around the places to start from.",
-}
+    CONVERGED = ("converged", "Every condition of convergence is met.")
+    BUDGET = ("budget", "The budget of simulations was exhausted before the sample converged.")
+    STUCK = ("stuck", "A walker is stuck, so the sample is not reliable.")
+    START_FAILED = ("start_failed", "The model has no prediction around the places to start from.")
 
 
 @declared
@@ -273,8 +261,7 @@ class ConvergenceCheck:
     @property
     def stuck(self) -> BoolArray:
         """Which walkers moved in fewer than one step in twenty, of 200 or more."""
-        is_stuck = (self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS)
-        return np.asarray(is_stuck)
+        return np.asarray((self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS))
 
     @override
     def __str__(self) -> str:
@@ -324,12 +311,14 @@ def check_convergence(
     burn_in = int(BURN_IN * steps)
     kept = [samples[:, :, burn_in:, i] for i in range(samples.shape[3])]
     tau = _each(autocorrelation_time, kept)
+    # Change since the latest check that is one autocorrelation time back or more.
+    earlier = [x for x in before if steps - x.steps >= float(np.max(tau))]
     return ConvergenceCheck(
         rule=rule,
         steps=steps,
         burn_in=burn_in,
         tau=tau,
-        drift=_drift(tau, steps, before),
+        drift=float(np.max(np.abs(tau / earlier[-1].tau - 1.0))) if earlier else np.inf,
         rhat=_each(split_rhat, kept),
         bulk=_each(bulk_ess, kept),
         tail=_each(tail_ess, kept),
@@ -339,17 +328,7 @@ def check_convergence(
 
 
 def _each(function: Callable[[Array], Array | float], values: Sequence[Array]) -> Array:
-    """The diagnostic for each parameter."""
     return np.array([function(one) for one in values])
-
-
-def _drift(tau: Array, steps: int, before: Sequence[ConvergenceCheck]) -> float:
-    """Largest change since the latest check that is one autocorrelation time back or more."""
-    longest = float(np.max(tau))
-    for check in reversed(before):
-        if steps - check.steps >= longest:
-            return float(np.max(np.abs(tau / check.tau - 1.0)))
-    return np.inf
 
 
 # Of checks to come, before one of them is said never to pass.
@@ -383,15 +362,7 @@ def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
 
 
 def expected_end(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
-    """Steps at which sampling is expected to end, and the state of its convergence in words.
-
-    Parameters
-    ----------
-    checks
-        All checks so far.
-    spent
-        Share of the budget that is used up.
-    """
+    """Steps at which sampling is expected to end, and the state of its convergence in words."""
     latest = checks[-1]
     found = latest.conditions
     length, wanted, _ = found["steps_per_tau"]
@@ -550,8 +521,7 @@ class Posterior:
         ValueError
             If the sample is too short and fewer will not do.
         """
-        kept = self.kept
-        n_ensembles, n_walkers, n_steps = kept.shape[:3]
+        n_ensembles, n_walkers, n_steps = self.kept.shape[:3]
         apart = math.ceil(min(APART * float(np.max(self.last_check.tau)), n_steps))
         steps = np.arange(n_steps - 1, -1, -apart)
         places = np.array(
@@ -641,8 +611,7 @@ def prior_sensitivity(posterior: Posterior) -> PriorSensitivity:
     power-scaling, Stat. Comput. 34 (2024) 57, doi:10.1007/s11222-023-10366-5.
     """
     parameters = posterior.parameters
-    working = parameters.to_working(posterior.kept)
-    draws = working.reshape(-1, parameters.n)
+    draws = parameters.to_working(posterior.kept).reshape(-1, parameters.n)
     likelihood = posterior.kept_log_likelihood.ravel()
     prior = log_prior_working(draws, parameters)
     return PriorSensitivity(

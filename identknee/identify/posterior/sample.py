@@ -241,8 +241,7 @@ def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array 
     factor = row[n + 1 :].reshape(n, n)
     for spread in OVERDISPERSION:
         for _ in range(TRIES):
-            step = np.linalg.solve(factor.T, generator.standard_normal(n))
-            point = optimum + spread * step
+            point = optimum + spread * np.linalg.solve(factor.T, generator.standard_normal(n))
             row_there = walk.row(point)
             if np.isfinite(row_there[0]):
                 return _joined(point, row_there)
@@ -389,7 +388,17 @@ def sample(
         moves=ensembles.moves_for(density.parameters.n),
         seed=seed,
     )
-    given = None if optima is None else _checked(optima, density.parameters)
+    given = None
+    if optima is not None:
+        given = frozen(optima, None, density.parameters.n, name="optima")
+        if not len(given):
+            raise ValueError("there are no optima to start from; leave them out to find some")
+        outside = np.flatnonzero(~inside(given, density.parameters))
+        if outside.size:
+            raise ValueError(
+                f"optimum {int(outside[0])} lies outside the bounds or has no prior density: "
+                f"{given[outside[0]].tolist()}"
+            )
     run = _Run(task, ensembles.n_ensembles, executor, store)
     recording = record("sample", run.settings(rule), {}, seed)
     prior, excluded = run.prior(ensembles.n_prior)
@@ -530,19 +539,6 @@ def _are_predicted(density: LogPosterior, thetas: Array) -> list[bool]:
     return [evaluate(density.problem, theta).is_finite for theta in thetas]
 
 
-def _checked(optima: ArrayLike, parameters: Parameters) -> Array:
-    places = frozen(optima, None, parameters.n, name="optima")
-    if not len(places):
-        raise ValueError("there are no optima to start from; leave them out to find some")
-    outside = np.flatnonzero(~inside(places, parameters))
-    if outside.size:
-        raise ValueError(
-            f"optimum {int(outside[0])} lies outside the bounds or has no prior density: "
-            f"{places[outside[0]].tolist()}"
-        )
-    return places
-
-
 N_LIVE = 300
 N_RESAMPLED = 100
 # What dynesty takes for impossible; it cannot count with minus infinity.
@@ -646,14 +642,19 @@ def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -
     J. S. Speagle, dynesty: a dynamic nested sampling package for estimating Bayesian posteriors
     and evidences, MNRAS 493 (2020) 3132-3158, doi:10.1093/mnras/staa278.
     """
-    density = LogPosterior(problem=problem)
-    parameters = density.parameters
+    parameters = LogPosterior(problem=problem).parameters
     if n_live < 2 * parameters.n:
         raise ValueError(
             f"nested sampling of {parameters.n} parameters needs at least {2 * parameters.n} live "
             f"points, got {n_live}"
         )
-    dynesty = _dynesty()
+    try:
+        import dynesty
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            'nested sampling needs the package dynesty; install it with: pip install "identknee'
+            '[nested]"'
+        ) from error
     recording = record("nested", {"n_live": n_live}, {}, seed)
 
     def log_likelihood(theta: Array) -> float:
@@ -705,14 +706,3 @@ def quantile_differences(posterior: Posterior, nested: NestedPosterior) -> Array
 def _weights(results: Any) -> Array:
     weights = np.exp(results.logwt - np.max(results.logwt))
     return np.asarray(weights / np.sum(weights), dtype=np.float64)
-
-
-def _dynesty() -> Any:
-    try:
-        import dynesty
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            'nested sampling needs the package dynesty; install it with: pip install "identknee'
-            '[nested]"'
-        ) from error
-    return dynesty

@@ -260,8 +260,7 @@ def _ray(
     walk = ProfileContext(evaluator, radius, threshold, evaluator(start))
     walk.is_final = is_last
     try:
-        origin = walk.point(walk.solve(0.0, start, tolerance=np.inf))
-        leg = march(walk, origin, 1)
+        leg = march(walk, walk.point(walk.solve(0.0, start, tolerance=np.inf)), 1)
     except BetterOptimumFound as found:
         better = along.expand(found.theta)
         return {

@@ -1,7 +1,7 @@
 """The profile likelihood of a parameter or any other quantity."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypedDict, Unpack
@@ -86,8 +86,7 @@ class Branch:
     @property
     def points(self) -> list[ProfilePoint]:
         """All points from low to high values."""
-        both = [*self.lower.points, *self.upper.points[1:]]
-        return sorted(both, key=lambda x: x.value)
+        return sorted([*self.lower.points, *self.upper.points[1:]], key=lambda x: x.value)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -153,15 +152,6 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
     own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
     to no optimum of their own are looked for by coming back to each end of the optimum's branch
     from outside.
-
-    Parameters
-    ----------
-    walk
-        The quantity and the threshold.
-    main
-        The optimum's branch.
-    starts
-        Where else to look for optima, shape ``(k, n)``.
     """
     branches = [main]
     regions = _beside(main, walk.limits)
@@ -324,8 +314,7 @@ def _is_known(walk: ProfileContext, branches: Sequence[Branch], point: ProfilePo
         low, high = branch.limits
         if not low <= point.value <= high:
             continue
-        near = branch.nearest(point.value)
-        expected = walk.start(point.value, near, None)
+        expected = walk.start(point.value, branch.nearest(point.value), None)
         moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
         if float(moved @ moved) < JUMP * walk.threshold:
             return True
@@ -361,15 +350,19 @@ def assembled(
     origin = branches[0].origin
     # Intervals are separate where the data exclude what lies between. Where only the model ends
     # between them, nothing does, and they are one.
-    reaches = [_Reach.of(x) for x in branches]
-    merged: list[_Reach] = []
-    for reach in sorted(reaches, key=lambda x: (x.low, x.high)):
-        if merged and merged[-1].overlaps_next(reach):
-            merged[-1] = merged[-1].joined(reach)
-        else:
-            merged.append(reach)
-    intervals = tuple((x.lower.end, x.upper.end) for x in merged)
-    sides = (merged[0].lower, merged[-1].upper)
+    ends = [(x.lower.side, x.upper.side) for x in branches]
+    reaches = [(_reach(x, -np.inf), _reach(y, np.inf), x, y) for x, y in ends]
+    merged: list[tuple[float, Side, Side]] = []
+    for low, high, lower, upper in sorted(reaches, key=lambda x: x[:2]):
+        if merged:
+            highest, first, last = merged[-1]
+            is_gap = SideStatus.OPEN_AT_FEASIBILITY in {last.status, lower.status}
+            if low <= highest or is_gap:
+                merged[-1] = (high, first, upper) if high > highest else merged[-1]
+                continue
+        merged.append((high, lower, upper))
+    intervals = tuple((lower.end, upper.end) for _, lower, upper in merged)
+    sides = (merged[0][1], merged[-1][2])
     # Points from low to high values with their branch, without those above another branch.
     kept: list[tuple[ProfilePoint, int]] = []
     for i, branch in enumerate(branches):
@@ -414,31 +407,6 @@ def assembled(
         better_optimum=better_optimum,
         n_restarts=n_restarts,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Reach:
-    """The confidence interval of a branch, infinite where open, and how it ends."""
-
-    low: float
-    high: float
-    lower: Side
-    upper: Side
-
-    @classmethod
-    def of(cls, branch: Branch) -> "_Reach":
-        lower, upper = branch.lower.side, branch.upper.side
-        return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
-
-    def overlaps_next(self, other: "_Reach") -> bool:
-        """Whether this interval overlaps with the next higher one."""
-        at_boundary = SideStatus.OPEN_AT_FEASIBILITY
-        is_gap = at_boundary in {self.upper.status, other.lower.status}
-        return other.low <= self.high or is_gap
-
-    def joined(self, other: "_Reach") -> "_Reach":
-        highest = max(self, other, key=lambda x: x.high)
-        return replace(self, high=highest.high, upper=highest.upper)
 
 
 def _reach(side: Side, beyond: float) -> float:
@@ -593,8 +561,6 @@ def polish_optimum(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Run:
-    """The settings of one profile."""
-
     evaluator: Evaluator
     quantity: Quantity
     level: float
@@ -604,8 +570,7 @@ class _Run:
     def profile(self, optimum: Evaluation) -> Profile:
         for n_restarts in range(MOST_RESTARTS + 1):
             walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
-            is_last = n_restarts == MOST_RESTARTS
-            walk.is_final = is_last
+            walk.is_final = n_restarts == MOST_RESTARTS
             try:
                 value, gradient = self.quantity.evaluate(optimum.theta)
                 origin = walk.point(walk.solve(value, optimum.theta, tolerance=np.inf))

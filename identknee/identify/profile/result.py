@@ -17,7 +17,7 @@ from identknee.calibrate.problem import Evaluator, Problem, Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
-from identknee.runs.executors import Executor, serial, spawn_seeds
+from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 
 NewData = Callable[[np.random.SeedSequence], Problem]
@@ -260,7 +260,7 @@ def bootstrap_statistics(
     theta = np.asarray(truth, dtype=np.float64)
     rows = resumable_map(
         partial(_statistics, new_data, theta, tuple(quantities)),
-        [_as_numbers(x) for x in spawn_seeds(seed, n)],
+        [(seed, i) for i in range(n)],
         executor=executor,
         store=store,
         name="bootstrap",
@@ -276,36 +276,19 @@ def _statistics(
     new_data: NewData, truth: Array, quantities: Sequence[Quantity], seed: tuple[int, int]
 ) -> list[float]:
     entropy, key = seed
-    problem = new_data(np.random.SeedSequence(entropy, spawn_key=(key,)))
-    evaluator = Evaluator(problem)
+    evaluator = Evaluator(new_data(np.random.SeedSequence(entropy, spawn_key=(key,))))
     best = minimise(evaluator, truth, tolerance=TOLERANCE)
     lowest = best.evaluation.deviance
-    held = [
-        _held(evaluator, best.evaluation.theta if np.isfinite(lowest) else truth, quantity, truth)
-        for quantity in quantities
-    ]
+    start, held = best.evaluation.theta if np.isfinite(lowest) else truth, []
+    for quantity in quantities:
+        target = quantity.evaluate(truth)[0]
+        solved = solve_constrained(
+            evaluator, start, quantity=quantity, target=target, tolerance=TOLERANCE
+        )
+        held.append(solved.evaluation.deviance if solved.is_on_target else np.inf)
     # A fit that is held may have found its way to where the free one did not.
     lowest = min([lowest, *held])
     return [x - lowest if np.isfinite(lowest) else np.nan for x in held]
-
-
-def _held(evaluator: Evaluator, start: Array, quantity: Quantity, truth: Array) -> float:
-    """Lowest deviance with the quantity at its true value; infinite where no fit got there."""
-    solved = solve_constrained(
-        evaluator,
-        start,
-        quantity=quantity,
-        target=quantity.evaluate(truth)[0],
-        tolerance=TOLERANCE,
-    )
-    return solved.evaluation.deviance if solved.is_on_target else np.inf
-
-
-def _as_numbers(seed: np.random.SeedSequence) -> tuple[int, int]:
-    entropy = seed.entropy
-    if not isinstance(entropy, int):  # pragma: no cover - spawned from a whole number
-        raise TypeError
-    return entropy, int(seed.spawn_key[-1])
 
 
 def _check_level(level: float) -> None:

@@ -422,8 +422,6 @@ def march(walk: ProfileContext, origin: ProfilePoint, direction: int) -> SideWal
 
 
 class _March:
-    """The state of the profile on one side."""
-
     def __init__(self, walk: ProfileContext, origin: ProfilePoint, direction: int) -> None:
         self._walk = walk
         self._direction = direction
@@ -435,8 +433,7 @@ class _March:
         self._bound = walk.limits[1 if direction > 0 else 0]
         self._root = float(np.sqrt(walk.threshold))
         self._n_refined = self._n_retries = self._n_detours = 0
-        rise = self._walk.threshold / POINTS_PER_SIDE**2
-        step = step_to(rise, 0.0, origin.curvature)
+        step = step_to(self._walk.threshold / POINTS_PER_SIDE**2, 0.0, origin.curvature)
         low, high = self._walk.limits
         if step < high - low:
             self._unit = step
@@ -490,7 +487,14 @@ class _March:
         solved = walk.solve(value, start, tolerance=tolerance)
         if solved.outcome is Outcome.START_FAILED:
             solved = walk.solve(value, inside.theta, tolerance=tolerance)
-        if self._n_detours == MOST_DETOURS or not self._is_limited_by_feasibility(solved):
+        if self._n_detours == MOST_DETOURS:
+            return solved
+        # Whether the feasibility boundary kept a fit from being made or from going lower.
+        if solved.is_on_target:
+            is_limited = not walk.is_settled(walk.point(solved))
+        else:
+            is_limited = solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF}
+        if not is_limited:
             return solved
         self._n_detours += 1
         around = walk.solve_around(value, inside, tolerance=tolerance)
@@ -499,12 +503,6 @@ class _March:
         ):
             return solved
         return around
-
-    def _is_limited_by_feasibility(self, solved: ConstrainedFit) -> bool:
-        """Whether the feasibility boundary kept a fit from being made or from going lower."""
-        if solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF} and not solved.is_on_target:
-            return True
-        return solved.is_on_target and not self._walk.is_settled(self._walk.point(solved))
 
     def _cross_gap(self, value: float, tolerance: float) -> Side | None:
         """Continue beyond a gap without predictions if there are fits beyond; else step back."""
@@ -544,8 +542,7 @@ class _March:
         root = self._z(at)
         spacing = self._root / POINTS_PER_SIDE
         goal = self._root if root + 1.4 * spacing > self._root else root + spacing
-        slope = self._direction * at.slope
-        step = step_to(goal**2 - self._walk.delta(at), slope, at.curvature)
+        step = step_to(goal**2 - self._walk.delta(at), self._direction * at.slope, at.curvature)
         if not self._walk.is_settled(at):
             # The slope is that of the boundary.
             step = max(step, self._unit)
@@ -668,8 +665,7 @@ class _March:
         return not is_excluded and not self._walk.is_settled(point)
 
     def _at_bound(self) -> Side:
-        flat = self._is_flat()
-        return self._open(SideStatus.OPEN_FLAT if flat else SideStatus.OPEN_AT_BOUND)
+        return self._open(SideStatus.OPEN_FLAT if self._is_flat() else SideStatus.OPEN_AT_BOUND)
 
     def _is_flat(self) -> bool:
         at = self._inside
