@@ -46,7 +46,7 @@ from identknee.calibrate.problem import (
     conditional_sds,
 )
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 
 # What is smaller has no inverse among floating-point numbers.
@@ -63,21 +63,13 @@ LEAST_DIAGONAL = 1e-6
 
 @declared
 class BoundedStep:
-    """The constrained minimum of a linear model, with its active bounds.
+    """The constrained minimum of a linear model, with its active bounds."""
 
-    Attributes
-    ----------
-    step
-        Shape ``(n,)``.
-    multiplier
-        Derivative of half the sum of squares by the constraint's right-hand side.
-    is_held
-        Which components a bound keeps from going lower, shape ``(n,)``.
-    """
-
-    step: Array
-    multiplier: float
-    is_held: BoolArray
+    step: Array = entry("Shape ``(n,)``")
+    multiplier: float = entry(
+        "Derivative of half the sum of squares by the constraint's right-hand side"
+    )
+    is_held: BoolArray = entry("Which components a bound keeps from going lower, shape ``(n,)``")
 
 
 def bounded_step(
@@ -409,42 +401,28 @@ IsEnough = Callable[[Evaluation], bool]
 
 @declared
 class ConstrainedFit:
-    """Where a constrained fit ended, and how.
+    """Where a constrained fit ended, and how."""
 
-    Attributes
-    ----------
-    evaluation
-        The best parameter set found, its residuals and Jacobian.
-    value
-        The quantity there; NaN without a constraint.
-    multiplier
-        Derivative of the lowest deviance by the wanted value.
-    tangent
-        Derivative of theta along the path of constrained fits by the wanted value, shape ``(n,)``.
-    is_held
-        Which parameters a bound keeps from fitting better, shape ``(n,)``.
-    outcome
-        `MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` where
-        the way down has no prediction, `VALLEY` where it did not get that far, `BUDGET`, or
-        `START_FAILED`.
-    is_on_target
-        Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
-        the quantity's range: no small change within the bounds brings it closer.
-    left
-        How much lower one more step promises the deviance; infinite where none was planned.
-    n_simulations
-        Simulations made.
-    """
-
-    evaluation: Evaluation
-    value: float
-    multiplier: float
-    tangent: Array
-    is_held: BoolArray
-    outcome: Outcome
-    is_on_target: bool
-    left: float
-    n_simulations: int
+    evaluation: Evaluation = entry("The best parameter set found, its residuals and Jacobian")
+    value: float = entry("The quantity there; NaN without a constraint")
+    multiplier: float = entry("Derivative of the lowest deviance by the wanted value")
+    tangent: Array = entry(
+        "Derivative of theta along the path of constrained fits by the wanted value, shape ``(n,)``"
+    )
+    is_held: BoolArray = entry("Which parameters a bound keeps from fitting better, shape ``(n,)``")
+    outcome: Outcome = entry(
+        "`MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` "
+        "where the way down has no prediction, `VALLEY` where it did not get that far, "
+        "`BUDGET`, or `START_FAILED`"
+    )
+    is_on_target: bool = entry(
+        "Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the "
+        "end of the quantity's range: no small change within the bounds brings it closer"
+    )
+    left: float = entry(
+        "How much lower one more step promises the deviance; infinite where none was planned"
+    )
+    n_simulations: int = entry("Simulations made")
 
 
 def solve_constrained(

@@ -1,4 +1,7 @@
-"""One verb for all optimizers: a problem and a start in, a fitted parameter set out."""
+"""One verb for all optimizers: a problem and a start in, a fitted parameter set out.
+
+Starts by name or from a file, and a fit with Student's t errors, stand here too.
+"""
 
 import os
 import time

@@ -36,7 +36,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.declare import declared
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 
 STEP_TOLERANCE = 1e-6
@@ -45,32 +45,22 @@ ROUNDING = 1e-14
 
 @declared
 class GaussNewton:
-    """The best step within the bounds by the linear model of the residuals.
+    """The best step within the bounds by the linear model of the residuals."""
 
-    Attributes
-    ----------
-    step
-        To be added to theta, shape ``(n,)``.
-    length
-        Largest component of the step, in typical steps (3 kN, 2 %).
-    reduction
-        How much lower the linear model has the deviance there.
-    is_on_a_kink
-        Whether the reduction is so small that a search which cannot go on is at a minimum where the
-        derivatives of both sides point at each other.
-    is_stationary
-        Whether the step is below 1e-6 of the typical steps, or promises less than rounding.
-    gradient_norm
-        Largest derivative of the deviance by a parameter, times its typical step, leaving out
-        those that only lead out of the bounds.
-    """
-
-    step: Array
-    length: float
-    reduction: float
-    is_on_a_kink: bool
-    is_stationary: bool
-    gradient_norm: float
+    step: Array = entry("To be added to theta, shape ``(n,)``")
+    length: float = entry("Largest component of the step, in typical steps (3 kN, 2 %)")
+    reduction: float = entry("How much lower the linear model has the deviance there")
+    is_on_a_kink: bool = entry(
+        "Whether the reduction is so small that a search which cannot go on is at a minimum "
+        "where the derivatives of both sides point at each other"
+    )
+    is_stationary: bool = entry(
+        "Whether the step is below 1e-6 of the typical steps, or promises less than rounding"
+    )
+    gradient_norm: float = entry(
+        "Largest derivative of the deviance by a parameter, times its typical step, leaving out "
+        "those that only lead out of the bounds"
+    )
 
 
 def gauss_newton(here: Evaluation, parameters: Parameters) -> GaussNewton:

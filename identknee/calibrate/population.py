@@ -1,6 +1,6 @@
 """Ask-and-tell searches with a population: the paper's Complex method, and others from libraries.
 
-All start in the paper's box around the start, cut to the parameters' bounds, search within these
+Those start in the paper's box around the start, cut to the parameters' bounds, search within these
 bounds, and know of infinite deviances only that they are worse than all others.
 """
 

@@ -1,4 +1,4 @@
-"""All checks of a fit in one pass: the table, the misfit, bounds, starts, the model at the fit."""
+"""Checks of a fit: misfit, bounds, starts, forces that no knee has; and all checks in one pass."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

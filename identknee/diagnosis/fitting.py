@@ -1,4 +1,4 @@
-"""The fit of a laxity model to data, with everything diagnosis needs to know about it."""
+"""Fits of a laxity model to data, without and with causes, as diagnosis compares them."""
 
 from collections.abc import Sequence
 from dataclasses import field, replace

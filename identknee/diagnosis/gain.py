@@ -1,4 +1,4 @@
-"""What a named cause gains: misfit, prediction of held trials, evidence, parameters, forces."""
+"""What a named cause gains: misfit, prediction of held-out folds, evidence, parameters, forces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

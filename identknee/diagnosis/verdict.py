@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis, with its reasons."""
+"""The causes that explain a misfit, tried one by one, and the verdict on them with its reasons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

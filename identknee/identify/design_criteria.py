@@ -57,25 +57,20 @@ class LocalLoss:
 
     What is asked is the covariance of the parameters of interest, nuisances integrated out.
 
-    Attributes
-    ----------
-    criterion
-        ``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; ``"E"``: its
-        largest eigenvalue; ``"c"``: the log variances of the targets, summed.
-    gradients
-        Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
-    is_of_interest
-        Which parameters are no nuisances, shape ``(n,)``.
-
     References
     ----------
     A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, with SAS (2007),
     chapter 10, ISBN 978-0-19-929660-6.
     """
 
-    criterion: Criterion
-    gradients: Array
-    is_of_interest: BoolArray
+    criterion: Criterion = entry(
+        '``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; '
+        '``"E"``: its largest eigenvalue; ``"c"``: the log variances of the targets, summed'
+    )
+    gradients: Array = entry(
+        "Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``"
+    )
+    is_of_interest: BoolArray = entry("Which parameters are no nuisances, shape ``(n,)``")
 
     def features_of_data(self, information: Array) -> Array:
         """The scaled information at the best fit, shape ``(n n,)``."""
@@ -111,29 +106,23 @@ class LocalLoss:
 
 @declared
 class Path:
-    """The profile of one target as it is before trials are added.
+    """The profile of one target as it is before trials are added."""
 
-    Attributes
-    ----------
-    places
-        Where its s points stand among the points at which trials are predicted, shape ``(s,)``.
-    values, deltas
-        The target there, from low to high, and the rise of the deviance, shape ``(s,)``.
-    across
-        Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, n,
-        n - 1)``.
-    center
-        The target at the best fit.
-    threshold
-        Rise of the deviance that bounds the interval.
-    """
-
-    places: IntArray
-    values: Array
-    deltas: Array
-    across: Array
-    center: float
-    threshold: float
+    places: IntArray = entry(
+        "Where its s points stand among the points at which trials are predicted, shape ``(s,)``"
+    )
+    values: Array = entry(
+        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
+    )
+    deltas: Array = entry(
+        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
+    )
+    across: Array = entry(
+        "Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, "
+        "n, n - 1)``"
+    )
+    center: float = entry("The target at the best fit")
+    threshold: float = entry("Rise of the deviance that bounds the interval")
 
     def ends(self, deltas: Array) -> tuple[Array, BoolArray]:
         """Interval ends for k profiles on the same points, shape ``(k, 2)``, and which are open.
@@ -169,14 +158,9 @@ class WidthLoss:
     At every point of a target's profile the deviance of the added trials, at the values they would
     have at the best fit, is added, and the parameters that are free there give way by one linear
     step: an open end may close that a variance at the best fit knows nothing of.
-
-    Attributes
-    ----------
-    paths
-        The profiles of the targets.
     """
 
-    paths: Sequence[Path]
+    paths: Sequence[Path] = entry("The profiles of the targets")
 
     def features_of_data(self, information: Array) -> Array:
         """Each point's curvature across the target, no slope, and the rise of the deviance."""
@@ -318,29 +302,24 @@ class Excluded:
 
 @declared
 class CandidatePredictions:
-    """The candidates at the best fit and along the profiles: q points, k trials, n parameters.
+    """The candidates at the best fit and along the profiles: q points, k trials, n parameters."""
 
-    Attributes
-    ----------
-    thetas
-        The points, the first of them the best fit, shape ``(q, n)``.
-    is_likely
-        Which of them the data allow, shape ``(q,)``.
-    values, jacobians
-        What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its
-        derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no prediction.
-    information
-        That of the trials made, for the scaled parameters, shape ``(q, n, n)``.
-    scales
-        One scaled unit of each parameter, shape ``(n,)``.
-    """
-
-    thetas: Array
-    is_likely: BoolArray
-    values: Array
-    jacobians: Array
-    information: Array
-    scales: Array
+    thetas: Array = entry("The points, the first of them the best fit, shape ``(q, n)``")
+    is_likely: BoolArray = entry("Which of them the data allow, shape ``(q,)``")
+    values: Array = entry(
+        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
+        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
+        "prediction"
+    )
+    jacobians: Array = entry(
+        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
+        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
+        "prediction"
+    )
+    information: Array = entry(
+        "That of the trials made, for the scaled parameters, shape ``(q, n, n)``"
+    )
+    scales: Array = entry("One scaled unit of each parameter, shape ``(n,)``")
 
     @property
     def n_simulations(self) -> int:

@@ -1,4 +1,4 @@
-"""The Fisher information at one point, with its spectrum and collinearity."""
+"""The Fisher information at a point, geodesics along its sloppiest direction, structural rank."""
 
 from collections.abc import Sequence
 from functools import partial

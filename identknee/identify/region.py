@@ -1,4 +1,4 @@
-"""The region of parameter sets with predictions equivalent to a given one's."""
+"""The region of parameter sets with predictions equivalent to a given one's, and extrema in it."""
 
 from collections.abc import Mapping
 from enum import unique
@@ -85,18 +85,13 @@ class Blocks:
     """The blocks of a region at one theta, each with its Gauss-Newton model, limits taken as 1.
 
     After a step `d` the model gives block b the value ``|offsets[b] + slopes[b] @ d|^2``.
-
-    Attributes
-    ----------
-    offsets
-        Weighted differences of the predictions, shape ``(n_blocks, k)``; infinite where there is
-        no prediction.
-    slopes
-        Their derivatives, shape ``(n_blocks, k, n)``.
     """
 
-    offsets: Array
-    slopes: Array
+    offsets: Array = entry(
+        "Weighted differences of the predictions, shape ``(n_blocks, k)``; infinite where there "
+        "is no prediction"
+    )
+    slopes: Array = entry("Their derivatives, shape ``(n_blocks, k, n)``")
 
     @property
     def values(self) -> Array:
@@ -211,43 +206,31 @@ GAP, LARGEST_GAP = 1e-10, 1e-7
 
 @declared
 class ModelStep:
-    """The best step of a model.
+    """The best step of a model."""
 
-    Attributes
-    ----------
-    step
-        The step, shape ``(n,)``.
-    excess
-        How much the limit of 1 had to be raised for it, about 0 where the model's region is not
-        empty.
-    multipliers
-        By how much the best gain grows with the limit of each block, shape ``(n_blocks,)``.
-    """
-
-    step: Array
-    excess: float
-    multipliers: Array
+    step: Array = entry("The step, shape ``(n,)``")
+    excess: float = entry(
+        "How much the limit of 1 had to be raised for it, about 0 where the model's region is "
+        "not empty"
+    )
+    multipliers: Array = entry(
+        "By how much the best gain grows with the limit of each block, shape ``(n_blocks,)``"
+    )
 
 
 @declared
 class LocalModel:
-    """The local model around a point, in the units of its steps.
+    """The local model around a point, in the units of its steps."""
 
-    Attributes
-    ----------
-    gain
-        Derivatives of the quantity, shape ``(n,)``, of such a size that the best step's gain is
-        about 1.
-    blocks
-        The region's blocks, finite.
-    low, high
-        Bounds of the step, shape ``(n,)``, with ``low < high`` and 0 between them.
-    """
-
-    gain: Array
-    blocks: Blocks
-    low: Array
-    high: Array
+    gain: Array = entry(
+        "Derivatives of the quantity, shape ``(n,)``, of such a size that the best step's gain "
+        "is about 1"
+    )
+    blocks: Blocks = entry("The region's blocks, finite")
+    low: Array = entry("Bounds of the step, shape ``(n,)``, with ``low < high`` and 0 between them")
+    high: Array = entry(
+        "Bounds of the step, shape ``(n,)``, with ``low < high`` and 0 between them"
+    )
 
 
 def best_step(model: LocalModel, *, penalty: float) -> ModelStep:

@@ -1,4 +1,4 @@
-"""Multi-start searches: where each ended, why, and where polishing leads."""
+"""Multi-start searches: where each ended and why, the basins they found, and how often."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The posterior by sampling: independent ensembles of walkers, until they have converged."""
+"""The posterior by ensembles of walkers until they have converged, or by nested sampling."""
 
 import time
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What a profile found: the curve, the confidence set, and how each side ended."""
+"""What a profile found, and the thresholds that bound its confidence set."""
 
 import math
 from collections.abc import Callable, Sequence
