@@ -47,7 +47,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # What is smaller has no inverse among floating-point numbers.
 SMALLEST = 1e-150

@@ -43,8 +43,8 @@ from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.executors import Executor, serial, spawn_seeds
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress, progress_bar
+from identknee.runs.record import Outcome
 from identknee.runs.schema import Fault, number, read_toml, validated
 
 BUDGET = 2500

@@ -37,7 +37,7 @@ from identknee.calibrate.problem import (
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 STEP_TOLERANCE = 1e-6
 ROUNDING = 1e-14

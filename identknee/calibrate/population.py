@@ -12,7 +12,7 @@ import numpy as np
 from identknee.calibrate.problem import Evaluator, floors, half_widths
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 POPULATION = 20
 SPREAD_TOLERANCE = 1e-3

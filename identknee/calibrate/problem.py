@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 STIFFNESS_UNIT = "_kN"
 STRAIN_UNIT = "_pct"

@@ -24,20 +24,18 @@ from identknee.checks.table_checks import (
 from identknee.identify.binomial_interval import Proportion, share
 from identknee.identify.optimum import group_name, nuisance_estimates, nuisance_groups
 from identknee.identify.posterior.density import newton_kernel
-from identknee.laxity.dominant_load import dominant_loads
-from identknee.laxity.protocol import LOADS
+from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.equilibria import TRANSITION_STRAIN
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
-from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
     capitalised,

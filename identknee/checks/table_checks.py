@@ -10,11 +10,16 @@ from scipy.special import chdtrc, fdtrc
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WhitenedResiduals, restricted, typical_steps
-from identknee.laxity.dominant_load import dominant_loads, opposite_pairs
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol
+from identknee.laxity.protocol import (
+    FLEXION,
+    LOADS,
+    Protocol,
+    dominant_loads,
+    opposite_pairs,
+    unloaded_trials,
+)
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.trial_words import load_words
-from identknee.laxity.zero_conventions import unloaded_trials
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals

@@ -14,15 +14,19 @@ from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
 from identknee.diagnosis.noise_model import NoiseModel
 from identknee.identify.laplace import Interval, Laplace, laplace
-from identknee.laxity.dominant_load import nominal_flexion, nominal_loads
-from identknee.laxity.protocol import DIRECTIONS, Protocol
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_ANGLE_DEG,
+    Protocol,
+    nominal_flexion,
+    nominal_loads,
+)
 from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity
-from identknee.laxity.zero_conventions import SAME_ANGLE_DEG
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
-from identknee.runs.outcome import WithSentence
+from identknee.runs.record import WithSentence
 
 FLEXION = "flexion"
 DIRECTION = "load direction"

@@ -17,7 +17,7 @@ from identknee.diagnosis.misfit import (
 )
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.outcome import WithSentence
+from identknee.runs.record import WithSentence
 
 # Signs are dealt with by trying every set of amplitudes that are not zero.
 MOST_SIGNED = 6

@@ -29,8 +29,8 @@ from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import counted, progress, progress_bar, stage
+from identknee.runs.record import Outcome
 
 MOST_CAUSES = 3
 # Log evidence that a cause must gain to join, and to stay when another could do without it.

@@ -23,7 +23,7 @@ from identknee.identify.region import (
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
-from identknee.runs.outcome import WithSentence
+from identknee.runs.record import WithSentence
 from identknee.runs.store import Store, resumable_map
 
 # A point this close to the limit is on the boundary of the region, for a ray.

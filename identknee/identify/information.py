@@ -22,8 +22,8 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-from identknee.runs.outcome import WithSentence
 from identknee.runs.progress import progress
+from identknee.runs.record import WithSentence
 
 # In scaled units. The perturbation must be small against any curvature and large against the
 # rounding of theta; the steps are tried from long to short.

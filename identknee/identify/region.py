@@ -12,7 +12,7 @@ from scipy import sparse
 from identknee.calibrate.problem import RANK_TOLERANCE, Evaluator, Problem, Quantity, typical_steps
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
-from identknee.runs.outcome import WithSentence
+from identknee.runs.record import WithSentence
 
 ALL = "all"
 LEVEL = 0.05

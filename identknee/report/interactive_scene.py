@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from identknee.calibrate.fit import load_start
-from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.model.model_for_tests import model_for_tests
+from identknee.laxity.table import TrialsLike, read_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.report.notebook import result_of
 from identknee.report.page.markup import element
 from identknee.report.page.page import document

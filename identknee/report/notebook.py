@@ -12,8 +12,8 @@ from identknee.report.page.markup import bullets, element, paragraph, table_html
 from identknee.report.page.results import Findings, Result, drawings
 from identknee.report.presenter import main_statements, statements_of
 from identknee.runs.findings import finding_lines
-from identknee.runs.plain_records import summary_of
 from identknee.runs.record import record
+from identknee.runs.schema import summary_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.registry import verbs_with_answer
 

@@ -18,7 +18,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.report.answers.fit import fit_statements
 from identknee.report.presenter import of_type, presenter_of, statements_of
 from identknee.report.range import NOT_CONVERGED, Range, Source
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
     capitalised,

@@ -1,12 +1,13 @@
-"""What a result remembers of the run that made it."""
+"""What a result remembers of its run: how it ended, and the call that made it."""
 
 import platform
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from enum import Enum, unique
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Self
 
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import plain
@@ -36,7 +37,7 @@ class Record:
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
         # It loads what schemas need, which the start of a command should not wait for.
-        from identknee.runs.plain_records import to_plain
+        from identknee.runs.schema import to_plain
 
         return {name: x for name, x in plain(to_plain(self)).items() if name != "arrays"}
 
@@ -102,3 +103,43 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+class WithSentence(Enum):
+    """A word for files, and `sentence`, which says it to a person."""
+
+    _value_: str
+    sentence: str
+
+    def __new__(cls, word: str, sentence: str = "") -> Self:
+        """The member of a word."""
+        member = object.__new__(cls)
+        member._value_, member.sentence = word, sentence
+        return member
+
+
+@unique
+class Outcome(WithSentence):
+    """How an equilibrium, a trial or a fit ended."""
+
+    # Equilibria and trials.
+    CONVERGED = ("converged", "A stable equilibrium was found on the branch that starts unloaded.")
+    FOLD = ("fold", "No stable pose at full load: the simulated knee jumps before reaching it.")
+    NO_EQUILIBRIUM = (
+        "no_equilibrium",
+        "No equilibrium was found near the pose where the search began.",
+    )
+    UNCONSTRAINED = (
+        "unconstrained",
+        (
+            "One direction of motion has no stiffness: the pose is not unique. Is a ligament "
+            "missing or slack?"
+        ),
+    )
+    # Fits.
+    MINIMUM = ("minimum", "Exact derivatives confirm a local minimum.")
+    VALLEY = ("valley", "The optimizer stopped in a valley before a minimum was reached.")
+    CLIFF = ("cliff", "The search stopped at a cliff, beyond which the simulated knee jumps.")
+    BUDGET = ("budget", "The budget of simulations was exhausted.")
+    SPREAD = ("spread", "The spread of the population fell below the tolerance.")
+    START_FAILED = ("start_failed", "The model has no prediction at the start.")

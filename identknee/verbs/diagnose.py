@@ -18,16 +18,14 @@ from identknee.diagnosis.fitting import Refit, Rival, RivalState
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.missing_line import LineEnds, LineFinding
 from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, zero_of_added_trials
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.laxity.zero_conventions import zero_of_added_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import planned, stage
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import write_subject
-from identknee.subject.knee import Knee
+from identknee.subject.knee import EffectChoice, Knee
 from identknee.verbs.diagnosis import (
     WRENCH,
     AddedEffect,

@@ -40,10 +40,9 @@ from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.findings import Finding, finding
-from identknee.runs.outcome import Outcome
-from identknee.subject.effect_choice import EffectChoice
+from identknee.runs.record import Outcome
 from identknee.subject.insertion_sites import PlaceSide
-from identknee.subject.knee import Knee
+from identknee.subject.knee import EffectChoice, Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.values import AdvisedTrial, Trials
 

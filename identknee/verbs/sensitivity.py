@@ -12,11 +12,10 @@ from identknee.calibrate.fit import load_start
 from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
 from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed
-from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, TrialsLike, read_tests
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
-from identknee.model.model_for_tests import model_for_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry

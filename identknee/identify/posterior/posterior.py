@@ -19,8 +19,7 @@ from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior,
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.outcome import WithSentence
-from identknee.runs.record import Record
+from identknee.runs.record import Record, WithSentence
 
 # The sum over lags ends at the first lag beyond so many autocorrelation times (Sokal).
 WINDOW = 5.0

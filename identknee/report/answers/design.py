@@ -17,7 +17,7 @@ from identknee.report.tables import Column, Table
 from identknee.report.words import counted, interval_words, times, trial_list
 from identknee.runs.arrays import Array
 from identknee.runs.marginalise import SHARE
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import (
     capitalised,
     error_words,

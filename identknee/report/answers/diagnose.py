@@ -24,7 +24,7 @@ from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import trial_list
 from identknee.runs.arrays import Array
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import (
     amount,
     amplitude_label,

@@ -14,7 +14,7 @@ from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Column, Table
 from identknee.report.words import trial_list
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability

@@ -12,7 +12,7 @@ from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
 from identknee.report.tables import Cell, Column, Table
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import label, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.sweep import Sweep

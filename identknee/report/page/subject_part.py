@@ -39,10 +39,9 @@ from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import of_type, presenter_of, statements_of
 from identknee.report.statement import Question, Statement, assumption_sentences
 from identknee.report.tables import Column, Table
-from identknee.runs.finding_kinds import About
-from identknee.runs.findings import Finding, Severity, by_severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress
+from identknee.runs.record import Outcome
 from identknee.runs.words import capitalised, label, listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis

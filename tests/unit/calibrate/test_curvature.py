@@ -10,7 +10,7 @@ from identknee.calibrate.bounded_least_squares import minimise, solve_constraine
 from identknee.calibrate.problem import Curvature, Evaluator, ParameterQuantity, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 T = np.arange(1, 21) / 5.0
 NUISANCES = np.array([False, True, True, True])

@@ -22,7 +22,7 @@ from identknee.diagnosis.verdict import (
     backward_elimination,
     conclude,
 )
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 ALARM = 1e-6
 

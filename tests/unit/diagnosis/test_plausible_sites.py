@@ -9,8 +9,7 @@ from diagnoses import SD, short_trials
 from identknee.diagnosis.fitting import Refit, best_fit_from, refit
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel

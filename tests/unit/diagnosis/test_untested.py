@@ -31,7 +31,7 @@ from identknee.model.effects.library import effect_named
 from identknee.report.answers.diagnose import diagnosis_statements
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.verbs.diagnose import diagnosis_of
 
 OTHERS = ("shank_gravity", "compression")
