@@ -10,7 +10,7 @@ from . import report as report
 from . import runs as runs
 from . import subject as subject
 from . import verbs as verbs
-from .calibrate.starts import load_start as load_start
+from .calibrate.fit import load_start as load_start
 from .diagnosis.verdict import Verdict as Verdict
 from .identify.profile.profile import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile

@@ -36,11 +36,17 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from identknee.calibrate.evaluation import Evaluation, Evaluator, LinearisedResiduals, SearchEnded
-from identknee.calibrate.problem import STEP_RANK_TOLERANCE, conditional_sds
-from identknee.calibrate.quantity import Quantity
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared
+from identknee.calibrate.problem import (
+    STEP_RANK_TOLERANCE,
+    Evaluation,
+    Evaluator,
+    LinearisedResiduals,
+    Quantity,
+    SearchEnded,
+    conditional_sds,
+)
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
 # What is smaller has no inverse among floating-point numbers.
@@ -57,21 +63,13 @@ LEAST_DIAGONAL = 1e-6
 
 @declared
 class BoundedStep:
-    """The constrained minimum of a linear model, with its active bounds.
+    """The constrained minimum of a linear model, with its active bounds."""
 
-    Attributes
-    ----------
-    step
-        Shape ``(n,)``.
-    multiplier
-        Derivative of half the sum of squares by the constraint's right-hand side.
-    is_held
-        Which components a bound keeps from going lower, shape ``(n,)``.
-    """
-
-    step: Array
-    multiplier: float
-    is_held: BoolArray
+    step: Array = entry("Shape ``(n,)``")
+    multiplier: float = entry(
+        "Derivative of half the sum of squares by the constraint's right-hand side"
+    )
+    is_held: BoolArray = entry("Which components a bound keeps from going lower, shape ``(n,)``")
 
 
 def bounded_step(
@@ -126,8 +124,6 @@ def feasible_point(normal: Array, bounds: tuple[Array, Array], wanted: float) ->
 
 
 class _ActiveSet:
-    """The state of one active-set search: its point and its active bounds."""
-
     def __init__(
         self,
         matrix: Array,
@@ -151,50 +147,40 @@ class _ActiveSet:
 
     def solve(self) -> BoundedStep:
         for _ in range(ROUNDS_PER_PARAMETER * len(self._at)):
-            if not self._minimise_free():
+            # Go to the lowest point over the free components, or to the first bound on the way.
+            free = np.flatnonzero(~self._held)
+            move = np.zeros(len(self._at))
+            matrix = self._matrix[:, free]
+            missing = self._matrix @ self._at + self._data
+            least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
+            if self._normal is None:
+                move[free] = _least_norm_step(matrix, missing, least)
+            else:
+                basis = _null_space(self._normal[free])
+                move[free] = np.asarray(basis @ _least_norm_step(matrix @ basis, missing, least))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
+            room[move == 0.0] = np.inf
+            first = int(np.argmin(room))
+            if room[first] >= 1.0:
+                self._at = np.clip(self._at + move, self._lower, self._upper)
+            else:
+                part = max(room[first], 0.0) * move
+                self._at = np.clip(self._at + part, self._lower, self._upper)
+                self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
+                self._held[first] = True
                 continue
-            if not self._release():
+            # Release the active bound with the most negative multiplier.
+            _, force = self._forces()
+            inward = np.where(self._at >= self._upper, force, -force)
+            inward[~self._held | (self._lower == self._upper)] = 0.0
+            hardest = int(np.argmax(inward))
+            size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
+            if inward[hardest] <= STEP_RANK_TOLERANCE * size:
                 break
+            self._held[hardest] = False
         multiplier, _ = self._forces()
         return BoundedStep(step=self._at, multiplier=multiplier, is_held=self._held)
-
-    def _minimise_free(self) -> bool:
-        """Minimise over the free components; False if a bound became active on the way."""
-        free = np.flatnonzero(~self._held)
-        move = np.zeros(len(self._at))
-        move[free] = self._free_move(free)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(move > 0, self._upper - self._at, self._lower - self._at) / move
-        room[move == 0.0] = np.inf
-        first = int(np.argmin(room))
-        if room[first] >= 1.0:
-            self._at = np.clip(self._at + move, self._lower, self._upper)
-            return True
-        self._at = np.clip(self._at + max(room[first], 0.0) * move, self._lower, self._upper)
-        self._at[first] = self._upper[first] if move[first] > 0 else self._lower[first]
-        self._held[first] = True
-        return False
-
-    def _free_move(self, free: IntArray) -> Array:
-        matrix = self._matrix[:, free]
-        missing = self._matrix @ self._at + self._data
-        least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-        if self._normal is None:
-            return _least_norm_step(matrix, missing, least)
-        basis = _null_space(self._normal[free])
-        return np.asarray(basis @ _least_norm_step(matrix @ basis, missing, least))
-
-    def _release(self) -> bool:
-        """Release the active bound with the most negative multiplier; False if there is none."""
-        _, force = self._forces()
-        inward = np.where(self._at >= self._upper, force, -force)
-        inward[~self._held | (self._lower == self._upper)] = 0.0
-        hardest = int(np.argmax(inward))
-        size = float(np.max(np.abs(self._matrix.T @ self._data), initial=0.0))
-        if inward[hardest] <= STEP_RANK_TOLERANCE * size:
-            return False
-        self._held[hardest] = False
-        return True
 
     def _forces(self) -> tuple[float, Array]:
         """Multiplier of the constraint, and the remaining gradient, shape ``(n,)``."""
@@ -232,8 +218,7 @@ def _initial_point(
         tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
         at, held = np.clip(tried, *bounds), ~free
         pushed = side * (square @ tried + slope) > 0.0
-        met = np.sign(tried - at)
-        now = np.where(free, met, np.where(pushed, 0.0, side))
+        now = np.where(free, np.sign(tried - at), np.where(pushed, 0.0, side))
         if np.array_equal(now, side):
             return at, held
         side = now
@@ -416,42 +401,28 @@ IsEnough = Callable[[Evaluation], bool]
 
 @declared
 class ConstrainedFit:
-    """Where a constrained fit ended, and how.
+    """Where a constrained fit ended, and how."""
 
-    Attributes
-    ----------
-    evaluation
-        The best parameter set found, its residuals and Jacobian.
-    value
-        The quantity there; NaN without a constraint.
-    multiplier
-        Derivative of the lowest deviance by the wanted value.
-    tangent
-        Derivative of theta along the path of constrained fits by the wanted value, shape ``(n,)``.
-    is_held
-        Which parameters a bound keeps from fitting better, shape ``(n,)``.
-    outcome
-        `MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` where
-        the way down has no prediction, `VALLEY` where it did not get that far, `BUDGET`, or
-        `START_FAILED`.
-    is_on_target
-        Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the end of
-        the quantity's range: no small change within the bounds brings it closer.
-    left
-        How much lower one more step promises the deviance; infinite where none was planned.
-    n_simulations
-        Simulations made.
-    """
-
-    evaluation: Evaluation
-    value: float
-    multiplier: float
-    tangent: Array
-    is_held: BoolArray
-    outcome: Outcome
-    is_on_target: bool
-    left: float
-    n_simulations: int
+    evaluation: Evaluation = entry("The best parameter set found, its residuals and Jacobian")
+    value: float = entry("The quantity there; NaN without a constraint")
+    multiplier: float = entry("Derivative of the lowest deviance by the wanted value")
+    tangent: Array = entry(
+        "Derivative of theta along the path of constrained fits by the wanted value, shape ``(n,)``"
+    )
+    is_held: BoolArray = entry("Which parameters a bound keeps from fitting better, shape ``(n,)``")
+    outcome: Outcome = entry(
+        "`MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` "
+        "where the way down has no prediction, `VALLEY` where it did not get that far, "
+        "`BUDGET`, or `START_FAILED`"
+    )
+    is_on_target: bool = entry(
+        "Whether the quantity has the wanted value. A `MINIMUM` that is not on target is the "
+        "end of the quantity's range: no small change within the bounds brings it closer"
+    )
+    left: float = entry(
+        "How much lower one more step promises the deviance; infinite where none was planned"
+    )
+    n_simulations: int = entry("Simulations made")
 
 
 def solve_constrained(
@@ -536,8 +507,6 @@ class _Point:
 
 @declared
 class _PlannedStep:
-    """The step proposed by the model around a point, and its predicted reduction."""
-
     theta: Array
     step: BoundedStep
     length: float
@@ -574,11 +543,31 @@ class _Search:
 
     def run(self, start: Array, most_steps: int) -> ConstrainedFit:
         before = self._evaluator.n_simulations
-        start = self._start_on_target(np.clip(start, self._lower, self._upper))
+        start = np.clip(start, self._lower, self._upper)
+        if self._quantity is not None:
+            # A quantity that is a parameter begins at its target.
+            value, gradient = self._quantity.evaluate(start)
+            i = int(np.argmax(gradient != 0.0))
+            if np.count_nonzero(gradient) == 1 and gradient[i] == 1.0 and value == start[i]:
+                start[i] = np.clip(self._target, self._lower[i], self._upper[i])
         try:
             point = self._point(start)
         except SearchEnded as end:
-            return _start_failed(start, end.outcome)
+            n = start.size
+            evaluation = Evaluation(
+                theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
+            )
+            return ConstrainedFit(
+                evaluation=evaluation,
+                value=np.nan,
+                multiplier=np.nan,
+                tangent=np.full(n, np.nan),
+                is_held=np.zeros(n, dtype=np.bool_),
+                outcome=end.outcome,
+                is_on_target=False,
+                left=np.inf,
+                n_simulations=0,
+            )
         if not point.is_finite:
             return self._result(point, None, Outcome.START_FAILED, before)
         for _ in range(most_steps):
@@ -597,18 +586,6 @@ class _Search:
                 outcome = Outcome.CLIFF if self._met_cliff else Outcome.VALLEY
                 return self._result(point, plan, outcome, before)
         return self._result(point, plan, Outcome.VALLEY, before)
-
-    def _start_on_target(self, start: Array) -> Array:
-        """The start with the target inserted if the quantity is a parameter."""
-        if self._quantity is None:
-            return start
-        value, gradient = self._quantity.evaluate(start)
-        theta = np.array(start)
-        if np.count_nonzero(gradient) == 1:
-            i = int(np.flatnonzero(gradient)[0])
-            if gradient[i] == 1.0 and value == start[i]:
-                theta[i] = np.clip(self._target, self._lower[i], self._upper[i])
-        return theta
 
     def _point(self, theta: Array) -> _Point:
         evaluation = self._evaluator(theta)
@@ -750,24 +727,5 @@ class _Search:
 
 
 def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:
-    """Predicted reduction of the deviance by a model after its step."""
     change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)
-
-
-def _start_failed(start: Array, outcome: Outcome) -> ConstrainedFit:
-    n = start.size
-    evaluation = Evaluation(
-        theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
-    )
-    return ConstrainedFit(
-        evaluation=evaluation,
-        value=np.nan,
-        multiplier=np.nan,
-        tangent=np.full(n, np.nan),
-        is_held=np.zeros(n, dtype=np.bool_),
-        outcome=outcome,
-        is_on_target=False,
-        left=np.inf,
-        n_simulations=0,
-    )

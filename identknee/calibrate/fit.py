@@ -1,31 +1,51 @@
-"""One verb for all optimizers: a problem and a start in, a fitted parameter set out."""
+"""One verb for all optimizers: a problem and a start in, a fitted parameter set out.
 
+Starts by name or from a file, and a fit with Student's t errors, stand here too.
+"""
+
+import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
-from typing import TypedDict, Unpack
+from typing import Annotated, Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ConfigDict, RootModel
 from typing_extensions import override
 
-from identknee.calibrate.complex import minimise_by_complex
-from identknee.calibrate.evaluation import Evaluator, SearchEnded
 from identknee.calibrate.least_squares import gauss_newton, minimise_by_least_squares
 from identknee.calibrate.population import (
     minimise_by_annealing,
     minimise_by_cma_es,
+    minimise_by_complex,
     minimise_by_genetic,
     minimise_by_particle_swarm,
 )
-from identknee.calibrate.problem import Problem, restricted, with_all_priors
+from identknee.calibrate.problem import (
+    RANK_TOLERANCE,
+    Evaluator,
+    Problem,
+    SearchEnded,
+    WhitenedResiduals,
+    restricted,
+    with_all_priors,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.errors import InputError, suggestion
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.progress import progress, progress_bar
 from identknee.runs.record import Outcome
+from identknee.runs.schema import Fault, number, read_toml, validated
 
 BUDGET = 2500
 
@@ -214,16 +234,20 @@ def _fit(
     on_simulation: Callable[[int], None] | None = None,
 ) -> Fit:
     parameters, seed = problem.parameters, task[1]
-    start = _checked_start(task[0], parameters)
+    start = frozen(task[0], parameters.n, name="the start")
+    for name, value in zip(parameters.names, start, strict=True):
+        if not np.isfinite(value):
+            raise ValueError(f"the start of {name} must be a finite number, got {value}")
     if method not in METHODS:
         raise ValueError(f"there is no method {method!r}; the methods are {', '.join(METHODS)}")
     minimise = METHODS[method]
-    allowed = _checked_budget(budget)
+    allowed = BUDGET if budget is None else budget
+    if allowed < 1:
+        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
     if seed < 0:
         raise ValueError(f"the seed must not be negative, got {seed}")
     generator = np.random.default_rng(seed)
-    whole = with_all_priors(problem) if priors else problem
-    part = restricted(whole, fixed, start)
+    part = restricted(with_all_priors(problem) if priors else problem, fixed, start)
     evaluator = Evaluator(part, budget=allowed, on_simulation=on_simulation)
     began = time.perf_counter()
     try:
@@ -232,6 +256,17 @@ def _fit(
         outcome = end.outcome
     if evaluator.best_theta is None:
         outcome = Outcome.START_FAILED
+    n = evaluator.n_simulations
+    simulations = "1 simulation" if n == 1 else f"{n} simulations"
+    message = f"{outcome.sentence} It took {simulations}."
+    if outcome is Outcome.START_FAILED and n > 1:
+        message = f"The model has no prediction at any of {simulations} around the start."
+    gradient_norm = None
+    # Not counted, because theta was simulated already.
+    here = None if evaluator.best_theta is None else evaluator(evaluator.best_theta)
+    if here is not None and here.is_finite:
+        # A search without bounds may end outside them, where they do not hold it back.
+        gradient_norm = 0.5 * gauss_newton(here, evaluator.parameters).gradient_norm
     return Fit(
         method=method,
         parameters=parameters,
@@ -241,46 +276,223 @@ def _fit(
         theta=start if evaluator.best_theta is None else part.free.expand(evaluator.best_theta),
         objective=0.5 * evaluator.best_deviance,
         outcome=outcome,
-        message=_message(outcome, evaluator),
+        message=message,
         n_simulations=evaluator.n_simulations,
         budget=allowed,
-        gradient_norm=_gradient_norm(evaluator),
+        gradient_norm=gradient_norm,
         seconds=time.perf_counter() - began,
         seed=seed,
         history=np.array(evaluator.history).reshape(-1, 2) * [1.0, 0.5],
     )
 
 
-def _message(outcome: Outcome, evaluator: Evaluator) -> str:
-    n = evaluator.n_simulations
-    simulations = "1 simulation" if n == 1 else f"{n} simulations"
-    if outcome is Outcome.START_FAILED and n > 1:
-        return f"The model has no prediction at any of {simulations} around the start."
-    return f"{outcome.sentence} It took {simulations}."
+SUBJECT = "subject"
+FILE_LIMIT_MB = 1
 
 
-def _gradient_norm(evaluator: Evaluator) -> float | None:
-    """Norm of the gradient; not counted, because theta was simulated already."""
-    if evaluator.best_theta is None:
-        return None
-    here = evaluator(evaluator.best_theta)
-    if not here.is_finite:
-        return None
-    # A search without bounds may end outside them, where they do not hold it back.
-    return 0.5 * gauss_newton(here, evaluator.parameters).gradient_norm
+def start_names() -> tuple[str, ...]:
+    """Names that `named_start` knows.
+
+    Examples
+    --------
+    >>> start_names()
+    ('subject', 'IG1', 'IG2', 'IG3', 'IG4')
+    """
+    return (SUBJECT, *_published())
 
 
-def _checked_start(start: ArrayLike, parameters: Parameters) -> Array:
-    checked = frozen(start, parameters.n, name="the start")
-    for name, value in zip(parameters.names, checked, strict=True):
-        if not np.isfinite(value):
-            raise ValueError(f"the start of {name} must be a finite number, got {value}")
-    return checked
+def load_start(name_or_path: str | os.PathLike[str], parameters: Parameters) -> Array:
+    """Theta of a named start, or of the file whose path ends in ``.toml``, shape ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        As in `named_start`; `InputError` as in `read_start`.
+    """
+    if Path(name_or_path).suffix == ".toml":
+        return read_start(name_or_path, parameters)
+    return named_start(os.fspath(name_or_path), parameters)
 
 
-def _checked_budget(budget: int | None) -> int:
-    if budget is None:
-        return BUDGET
-    if budget < 1:
-        raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
-    return budget
+def named_start(name: str, parameters: Parameters) -> Array:
+    """Theta of a named start, shape ``(n,)``.
+
+    Parameters
+    ----------
+    name
+        ``"subject"`` for the subject's own values, or ``"IG1"`` to ``"IG4"`` for the initial
+        guesses of the paper (Table 1), which speak of an ACL, PCL, LCL and MCL. All other
+        parameters keep the subject's values.
+    parameters
+        The parameters of the model.
+
+    Raises
+    ------
+    ValueError
+        If there is no such start, or the model lacks a parameter the start speaks of.
+    """
+    if name == SUBJECT:
+        return parameters.start
+    published = _published()
+    if name not in published:
+        raise ValueError(
+            f"there is no start {name!r}; the starts are {', '.join(start_names())} "
+            "or the path of a file ending in .toml"
+        )
+    values = dict(_flat(published[name]))
+    missing = [parameter for parameter in values if parameter not in parameters.names]
+    if missing:
+        owner = parameters.names[0].rpartition(".")[0]
+        lacking = list(dict.fromkeys(parameter.rpartition(".")[0] for parameter in missing))
+        raise ValueError(
+            f"the start {name} speaks of {', '.join(lacking)}, which this knee does not have; "
+            "write a start of your own as a TOML file, such as\n"
+            f"[{owner}]\nstiffness_kN = 9.5\nreference_strain_pct = 7.5"
+        )
+    return frozen(parameters.vector(values), parameters.n, name="the start")
+
+
+def read_start(path: str | os.PathLike[str], parameters: Parameters) -> Array:
+    """Theta from a TOML file, shape ``(n,)``; omitted parameters keep the subject's value.
+
+    The file has a table for each ligament, such as::
+
+        [ACL]
+        stiffness_kN = 9.5
+        reference_strain_pct = 7.5
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or has a name that is no parameter's, or a value that is not a
+        number within the parameter's bounds.
+    """
+    file = Path(path)
+    values = dict(_flat(read_toml(file, FILE_LIMIT_MB)))
+    for name in values:
+        if name not in parameters.names:
+            raise InputError(
+                file, name[:100], "there is no such parameter", suggestion(name, parameters.names)
+            )
+    start = validated(StartValues, values, lambda fault: _wrong(file, fault, parameters)).root
+    for name, value in start.items():
+        i = parameters.index(name)
+        if not parameters.lower[i] <= value <= parameters.upper[i]:
+            why = f"{value:g}{_unit(name)} is out of bounds"
+            raise InputError(file, name, why, _allowed(name, parameters))
+    return frozen(parameters.vector(start), parameters.n, name="the start")
+
+
+class StartValues(RootModel[dict[str, Annotated[float, number("{} is not a finite number")]]]):
+    """The values of a file of starts by the parameter's name."""
+
+    model_config = ConfigDict(strict=True)
+
+
+def _wrong(file: Path, fault: Fault, parameters: Parameters) -> InputError:
+    name = str(fault.place[0])
+    return InputError(file, name, fault.why, _allowed(name, parameters))
+
+
+def _allowed(name: str, parameters: Parameters) -> str:
+    i = parameters.index(name)
+    return f"Give a number from {parameters.lower[i]:g} to {parameters.upper[i]:g}{_unit(name)}."
+
+
+def _unit(name: str) -> str:
+    return " " + name.rpartition("_")[2].replace("pct", "%") if "_" in name else ""
+
+
+def _published() -> dict[str, Any]:
+    text = resources.files("identknee.calibrate").joinpath("starts.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    # Not by recursion: a dotted key of a file may be deeper than that goes.
+    waiting = [*table.items()][::-1]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, Mapping):
+            waiting += [(f"{name}.{key}", x) for key, x in [*value.items()][::-1]]
+        else:
+            yield name, value
+
+
+# Of Student's t: tails heavy enough that a gross error in twenty values moves next to nothing.
+DEGREES = 4.0
+MOST_FITS = 20
+ROUNDS = 50
+SETTLED = 1e-3
+SMALLEST = 1e-9
+
+
+def fit_student(
+    problem: Problem, units: IntArray, start: Array, search: Callable[[Problem, Array], Fit]
+) -> Fit:
+    """The maximum-likelihood fit for Student's t errors of unknown scale.
+
+    Least squares again and again, each value weighted by what the fit before left of it, until no
+    scale changes by a thousandth. Nuisances keep their priors.
+
+    Parameters
+    ----------
+    problem
+        Its residuals in plain or in units of their noise, with rows for priors of nuisances.
+    units
+        The unit of each residual of the data, 0 or 1, shape ``(m,)``; each has a scale of its own.
+    start
+        Where the first fit begins, shape ``(n,)``.
+    search
+        A fit of a problem from a start.
+
+    Returns
+    -------
+    fit
+        The last fit, with the simulations of all; its objective is in units of the scales.
+
+    References
+    ----------
+    .. [1] Lange, Little and Taylor (1989), J. Am. Stat. Assoc. 84(408), 881-896.
+           https://doi.org/10.1080/01621459.1989.10478852
+    """
+    data, begun = without_priors(problem), np.array(start)
+    found = search(problem, begun)
+    n_simulations = found.n_simulations
+    scales = np.zeros(2)
+    for _ in range(MOST_FITS):
+        if not np.isfinite(found.objective) or n_simulations >= found.budget:
+            break
+        before = scales
+        scales, weights = student_scales(data, units, found.theta)
+        if np.all(np.abs(scales - before) <= SETTLED * scales):
+            break
+        scaled = WhitenedResiduals(problem=data, sd=scales[units] / np.sqrt(weights))
+        found = search(with_nuisance_priors(scaled), found.theta)
+        n_simulations += found.n_simulations
+    return replace(found, start=begun, n_simulations=n_simulations)
+
+
+def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array, Array]:
+    """The scale of each unit's errors (2,), and the weight of each value (m,).
+
+    A scale is what the parameters leave of the weighted residuals, over the degrees of freedom that
+    they leave; 1 where nothing has that unit.
+    """
+    residuals, is_there = data.residuals(theta), np.bincount(units, minlength=2) > 0
+    scales, weights = np.ones(2), np.ones(units.size)
+    for _ in range(ROUNDS):
+        before = scales
+        scaled = WhitenedResiduals(problem=data, sd=scales[units] / np.sqrt(weights))
+        # Residual degrees of freedom of the values of each unit, at least 1.
+        left, size, _ = np.linalg.svd(
+            with_nuisance_priors(scaled).jacobian(theta), full_matrices=False
+        )
+        leverage = np.sum(left[: units.size, size > size[0] * RANK_TOLERANCE] ** 2, axis=1)
+        degrees = np.maximum(np.bincount(units, weights=1.0 - leverage, minlength=2), 1.0)
+        squares = np.bincount(units, weights=weights * residuals**2, minlength=2)
+        scales = np.where(is_there, np.maximum(np.sqrt(squares / degrees), SMALLEST), 1.0)
+        weights = (DEGREES + 1.0) / (DEGREES + (residuals / scales[units]) ** 2)
+        if np.all(np.abs(scales - before) <= SETTLED * scales):
+            break
+    return scales, weights

@@ -25,11 +25,18 @@ import numpy as np
 import scipy.linalg
 
 from identknee.calibrate.bounded_least_squares import bounded_step, minimise
-from identknee.calibrate.evaluation import Evaluation, Evaluator, SearchEnded
-from identknee.calibrate.problem import KINK_DEVIANCE, KINK_SHARE, RANK_TOLERANCE, typical_steps
+from identknee.calibrate.problem import (
+    KINK_DEVIANCE,
+    KINK_SHARE,
+    RANK_TOLERANCE,
+    Evaluation,
+    Evaluator,
+    SearchEnded,
+    typical_steps,
+)
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.declare import declared
+from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
 STEP_TOLERANCE = 1e-6
@@ -38,44 +45,26 @@ ROUNDING = 1e-14
 
 @declared
 class GaussNewton:
-    """The best step within the bounds by the linear model of the residuals.
+    """The best step within the bounds by the linear model of the residuals."""
 
-    Attributes
-    ----------
-    step
-        To be added to theta, shape ``(n,)``.
-    length
-        Largest component of the step, in typical steps (3 kN, 2 %).
-    reduction
-        How much lower the linear model has the deviance there.
-    is_on_a_kink
-        Whether the reduction is so small that a search which cannot go on is at a minimum where the
-        derivatives of both sides point at each other.
-    is_stationary
-        Whether the step is below 1e-6 of the typical steps, or promises less than rounding.
-    gradient_norm
-        Largest derivative of the deviance by a parameter, times its typical step, leaving out
-        those that only lead out of the bounds.
-    """
-
-    step: Array
-    length: float
-    reduction: float
-    is_on_a_kink: bool
-    is_stationary: bool
-    gradient_norm: float
+    step: Array = entry("To be added to theta, shape ``(n,)``")
+    length: float = entry("Largest component of the step, in typical steps (3 kN, 2 %)")
+    reduction: float = entry("How much lower the linear model has the deviance there")
+    is_on_a_kink: bool = entry(
+        "Whether the reduction is so small that a search which cannot go on is at a minimum "
+        "where the derivatives of both sides point at each other"
+    )
+    is_stationary: bool = entry(
+        "Whether the step is below 1e-6 of the typical steps, or promises less than rounding"
+    )
+    gradient_norm: float = entry(
+        "Largest derivative of the deviance by a parameter, times its typical step, leaving out "
+        "those that only lead out of the bounds"
+    )
 
 
 def gauss_newton(here: Evaluation, parameters: Parameters) -> GaussNewton:
-    """The Gauss-Newton step from an evaluation, parameters at a bound included.
-
-    Parameters
-    ----------
-    here
-        A simulation with a prediction, within the bounds.
-    parameters
-        For the bounds and the typical steps.
-    """
+    """The Gauss-Newton step from an evaluation, parameters at a bound included."""
     scales = typical_steps(parameters)
     scaled = here.jacobian * scales
     low, high = (parameters.lower - here.theta) / scales, (parameters.upper - here.theta) / scales
@@ -133,7 +122,10 @@ def descent_around_cliff(
         lower = poll.lowest(steps[np.argsort(-np.abs(poll.target))])
         if lower is not None:
             return lower
-    across = _orthogonal_directions(poll.target, generator)
+    # Orthonormal directions orthogonal to the target, as rows, randomly rotated.
+    basis = scipy.linalg.null_space(poll.target[None])
+    turn, _ = np.linalg.qr(generator.standard_normal((basis.shape[1], basis.shape[1])))
+    across = np.asarray((basis @ turn).T)
     for length in TILTED_LENGTHS:
         for tilt in np.deg2rad(TILTS_DEG):
             lower = _search_tilted(poll, across, float(tilt), length)
@@ -159,8 +151,7 @@ class _Poll:
 
     def lowest(self, steps: Array) -> Array | None:
         """The lowest point after any of the `steps`; None if none is low enough."""
-        tried = [self.after(step) for step in steps]
-        deviance, point = min(tried, key=lambda pair: pair[0])
+        deviance, point = min([self.after(step) for step in steps], key=lambda pair: pair[0])
         return point if self.is_lower(deviance) else None
 
     def after(self, step: Array) -> tuple[float, Array]:
@@ -197,13 +188,6 @@ def _search_tilted(poll: _Poll, across: Array, tilt: float, length: float) -> Ar
     return poll.lowest((reach * (toward + sideways * away))[None])
 
 
-def _orthogonal_directions(target: Array, generator: np.random.Generator) -> Array:
-    """Orthonormal directions orthogonal to `target`, as rows, randomly rotated."""
-    basis = scipy.linalg.null_space(target[None])
-    turn, _ = np.linalg.qr(generator.standard_normal((basis.shape[1], basis.shape[1])))
-    return np.asarray((basis @ turn).T)
-
-
 # Parts of the typical steps (3 kN, 2 %): how close to a cliff is close enough, and how far inside
 # the bounds to start.
 CLIFF_STEP = 1e-4
@@ -234,7 +218,10 @@ def minimise_by_least_squares(
     on because every longer step has no prediction it tries to get around and goes on
     from there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """
-    theta = _inside(start, evaluator.parameters)
+    lower, upper = evaluator.parameters.lower, evaluator.parameters.upper
+    margin = np.minimum(INSIDE * typical_steps(evaluator.parameters), 0.1 * (upper - lower))
+    moved = np.clip(start, lower + margin, upper - margin)
+    theta = np.where((start <= lower) | (start >= upper), moved, start)
     if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.START_FAILED
     for _ in range(MAX_WAYS):
@@ -253,7 +240,13 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
     import scipy.optimize
 
     parameters = evaluator.parameters
-    theta = _strictly_inside(theta, parameters)
+    # scipy moves a start on a bound by 1e-10 of it, which would be one more simulation.
+    lower, upper = parameters.lower, parameters.upper
+    theta = np.clip(
+        theta,
+        lower + RELATIVE_START * np.maximum(1.0, np.abs(lower)),
+        upper - RELATIVE_START * np.maximum(1.0, np.abs(upper)),
+    )
     if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.CLIFF
     watch = _Monitored(evaluator)
@@ -283,10 +276,15 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
         if found.outcome is Outcome.BUDGET:
             raise SearchEnded(Outcome.BUDGET)
         outcome = found.outcome
-    if outcome is Outcome.VALLEY and _is_on_a_kink(evaluator):
-        outcome = Outcome.MINIMUM
-    if outcome is Outcome.MINIMUM:
-        _final_newton_step(evaluator)
+    best = _best(evaluator)
+    if outcome in {Outcome.VALLEY, Outcome.MINIMUM} and (here := evaluator(best)).is_finite:
+        newton = gauss_newton(here, parameters)
+        # Where a contact point just touches, the derivatives of both sides differ and may point at
+        # each other: the lowest place is there, and no derivative vanishes at it.
+        if outcome is Outcome.MINIMUM or newton.is_on_a_kink:
+            # A last step, which ends on the active bound, not just before it.
+            evaluator.deviance(np.clip(best + newton.step, lower, upper))
+            return Outcome.MINIMUM
     return outcome
 
 
@@ -307,21 +305,18 @@ class _Monitored:
 
     def residuals(self, theta: Array) -> Array:
         residuals = self._evaluator.residuals(theta)
-        self._stop_if_stagnating()
-        if self._accepted is not None and not np.all(np.isfinite(residuals)):
-            step = np.max(np.abs(theta - self._accepted) / self._scales)
-            if step < CLIFF_STEP:
-                raise SearchEnded(Outcome.CLIFF)
-        return residuals
-
-    def _stop_if_stagnating(self) -> None:
-        """End the search when its steps stay negligibly short, as along a kink."""
+        # End the search when its steps stay negligibly short, as along a kink.
         lowest = self._evaluator.best_deviance
         self._n_above_goal += 1
         if lowest < self._goal:
             self._goal, self._n_above_goal = (1.0 - self._creeping[1]) * lowest, 0
         if self._n_above_goal > self._creeping[0]:
             raise SearchEnded(Outcome.VALLEY)
+        if self._accepted is not None and not np.all(np.isfinite(residuals)):
+            step = np.max(np.abs(theta - self._accepted) / self._scales)
+            if step < CLIFF_STEP:
+                raise SearchEnded(Outcome.CLIFF)
+        return residuals
 
     def jacobian(self, theta: Array) -> Array:
         here = self._evaluator(theta)
@@ -333,44 +328,7 @@ class _Monitored:
         return here.jacobian
 
 
-def _is_on_a_kink(evaluator: Evaluator) -> bool:
-    """Whether the predicted reduction is negligible where the search stopped.
-
-    Where a contact point just touches, the derivatives of both sides differ and may point at each
-    other: the lowest place is there, and no derivative vanishes at it.
-    """
-    here = evaluator(_best(evaluator))
-    return here.is_finite and gauss_newton(here, evaluator.parameters).is_on_a_kink
-
-
-def _final_newton_step(evaluator: Evaluator) -> None:
-    """Take a last Gauss-Newton step, which ends on the active bound, not just before it."""
-    theta = _best(evaluator)
-    parameters = evaluator.parameters
-    step = gauss_newton(evaluator(theta), parameters).step
-    evaluator.deviance(np.clip(theta + step, parameters.lower, parameters.upper))
-
-
 def _best(evaluator: Evaluator) -> Array:
     if evaluator.best_theta is None:  # pragma: no cover - only called after a finite start
         raise SearchEnded(Outcome.START_FAILED)
     return evaluator.best_theta
-
-
-def _inside(start: Array, parameters: Parameters) -> Array:
-    margin = np.minimum(
-        INSIDE * typical_steps(parameters), 0.1 * (parameters.upper - parameters.lower)
-    )
-    outside = (start <= parameters.lower) | (start >= parameters.upper)
-    moved = np.clip(start, parameters.lower + margin, parameters.upper - margin)
-    return np.where(outside, moved, start)
-
-
-def _strictly_inside(theta: Array, parameters: Parameters) -> Array:
-    # scipy moves a start on a bound by 1e-10 of it, which would be one more simulation.
-    lower, upper = parameters.lower, parameters.upper
-    return np.clip(
-        theta,
-        lower + RELATIVE_START * np.maximum(1.0, np.abs(lower)),
-        upper - RELATIVE_START * np.maximum(1.0, np.abs(upper)),
-    )

@@ -1,20 +1,60 @@
-"""The population methods the paper asks future work to try, from pymoo, cma and scipy.
+"""Ask-and-tell searches with a population: the paper's Complex method, and others from libraries.
 
-All start in the paper's box around the start, cut to the parameters' bounds, search within these
+Those start in the paper's box around the start, cut to the parameters' bounds, search within these
 bounds, and know of infinite deviances only that they are worse than all others.
 """
 
 import importlib
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import half_widths
-from identknee.calibrate.search import POPULATION, run_search, uniform_box
+from identknee.calibrate.problem import Evaluator, floors, half_widths
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
+
+POPULATION = 20
+SPREAD_TOLERANCE = 1e-3
+
+
+class AskTellSearch(Protocol):
+    """An ask-and-tell search."""
+
+    @property
+    def population(self) -> Array:
+        """The candidates it now holds, shape ``(k, n)``."""
+
+    def ask(self) -> Array:
+        """Candidates to evaluate, shape ``(m, n)``; none if there is no new one."""
+
+    def tell(self, values: Array) -> None:
+        """Take the deviances of the candidates just asked, shape ``(m,)``; they may be inf."""
+
+
+def run_search(search: AskTellSearch, evaluator: Evaluator) -> Outcome:
+    """How the search ended: when the population's spread in every parameter was below 1e-3.
+
+    The spread is the largest minus the smallest value, in the unit of the parameter (kN or %).
+
+    Raises
+    ------
+    Ended
+        If the budget of the evaluator was used up first.
+    """
+    while True:
+        candidates = search.ask()
+        if len(candidates) == 0:
+            return Outcome.SPREAD
+        search.tell(np.array([evaluator.deviance(candidate) for candidate in candidates]))
+        if np.all(np.ptp(search.population, axis=0) < SPREAD_TOLERANCE):
+            return Outcome.SPREAD
+
+
+def uniform_box(generator: np.random.Generator, n: int, low: Array, high: Array) -> Array:
+    """Points drawn uniformly from a box, shape ``(n, len(low))``."""
+    return generator.uniform(low, high, size=(n, len(low)))
+
 
 # Stands for infinity where a library takes differences of deviances.
 NO_PREDICTION = 1e100
@@ -28,8 +68,7 @@ def minimise_by_genetic(
 ) -> Outcome:
     """How pymoo's genetic algorithm with 20 members ended."""
     module = _imported("pymoo.algorithms.soo.nonconvex.ga")
-    search = PymooSearch(module.GA, evaluator.parameters, start, generator)
-    return run_search(search, evaluator)
+    return run_search(PymooSearch(module.GA, evaluator.parameters, start, generator), evaluator)
 
 
 def minimise_by_particle_swarm(
@@ -74,19 +113,7 @@ def minimise_by_annealing(
 
 
 class PymooSearch:
-    """A search by one of pymoo's algorithms.
-
-    Parameters
-    ----------
-    algorithm
-        Class of the algorithm.
-    parameters
-        The parameters, for their bounds and the box of first candidates.
-    start
-        Centre of that box, shape ``(n,)``.
-    generator
-        Draws the first candidates and the seed of the algorithm.
-    """
+    """A search by one of pymoo's algorithms."""
 
     def __init__(
         self, algorithm: Any, parameters: Parameters, start: Array, generator: np.random.Generator
@@ -126,17 +153,7 @@ class PymooSearch:
 
 
 class CmaSearch:
-    """A search by CMA-ES.
-
-    Parameters
-    ----------
-    parameters
-        The parameters, for their bounds and the widths of the first normal.
-    start
-        Its mean, moved into the bounds, shape ``(n,)``.
-    generator
-        Where the random numbers come from.
-    """
+    """A search by CMA-ES."""
 
     def __init__(
         self, parameters: Parameters, start: Array, generator: np.random.Generator
@@ -179,3 +196,109 @@ def _imported(module: str) -> Any:
             f"this method needs the package {package}; "
             "install it with: pip install 'identknee[optimizers]'"
         ) from error
+
+
+REFLECTION = 0.9
+ATTEMPTS = 4
+
+
+class Complex:
+    """Box's Complex method with the rules of the paper.
+
+    Twenty candidates are drawn uniformly from a box around the start, which is no member itself.
+    The worst one is reflected through the centroid of the others, to 0.9 times its distance on
+    the other side. While it stays worse than all others it is moved half the way to the centroid,
+    four times at most; then it is replaced by a new random candidate from the box around the
+    start. Values below a parameter's floor are lifted to the floor.
+
+    Parameters
+    ----------
+    start
+        Centre of the box, shape ``(n,)``.
+    half_widths
+        Half-widths of the box, shape ``(n,)``.
+    floors
+        Least values, shape ``(n,)``: zero for stiffnesses. There are no other bounds.
+    generator
+        Where the random numbers come from.
+
+    Notes
+    -----
+    The paper leaves open what becomes of a candidate without a prediction: its deviance is
+    infinite, which is never an improvement, so it is halved and then replaced like any other.
+    A candidate as good as the second worst counts as improved.
+
+    References
+    ----------
+    .. [1] Box (1965), The Computer Journal 8(1), 42-52. https://doi.org/10.1093/comjnl/8.1.42
+    """
+
+    def __init__(
+        self,
+        *,
+        start: Array,
+        half_widths: Array,
+        floors: Array,
+        generator: np.random.Generator,
+    ) -> None:
+        self._low = start - half_widths
+        self._high = start + half_widths
+        self._floors = floors
+        self._generator = generator
+        self._values = np.empty(0)
+        self._centroid = np.empty(0)
+        self._worst = 0
+        self._halvings = 0
+        self._asked = self._random(POPULATION)
+        self.population = self._asked
+
+    def ask(self) -> Array:
+        """The twenty first candidates, then one at a time, shape ``(m, n)``."""
+        return self._asked
+
+    def tell(self, values: Array) -> None:
+        """Take the deviances of the candidates last asked, shape ``(m,)``."""
+        if self._values.size == 0:
+            self._values = np.array(values)
+            self._reflect()
+            return
+        others = np.delete(self._values, self._worst)
+        improved = bool(np.isfinite(values[0]) and values[0] <= others.max())
+        if improved or self._halvings > ATTEMPTS:
+            self.population[self._worst] = self._asked[0]
+            self._values[self._worst] = values[0]
+            self._reflect()
+        elif self._halvings < ATTEMPTS:
+            self._halvings += 1
+            self._asked = self._lifted(0.5 * (self._asked + self._centroid))
+        else:
+            # One more than the attempts: the random candidate stays, whatever its deviance.
+            self._halvings += 1
+            self._asked = self._random(1)
+
+    def _reflect(self) -> None:
+        self._worst = int(np.argmax(self._values))
+        self._halvings = 0
+        self._centroid = np.delete(self.population, self._worst, axis=0).mean(axis=0)
+        away = self._centroid - self.population[self._worst]
+        self._asked = self._lifted((self._centroid + REFLECTION * away)[None])
+
+    def _random(self, n: int) -> Array:
+        return self._lifted(uniform_box(self._generator, n, self._low, self._high))
+
+    def _lifted(self, candidates: Array) -> Array:
+        return np.maximum(candidates, self._floors)
+
+
+def minimise_by_complex(
+    evaluator: Evaluator, start: Array, generator: np.random.Generator
+) -> Outcome:
+    """How the Complex method ended; the evaluator remembers the best point."""
+    parameters = evaluator.parameters
+    search = Complex(
+        start=start,
+        half_widths=half_widths(parameters),
+        floors=floors(parameters),
+        generator=generator,
+    )
+    return run_search(search, evaluator)

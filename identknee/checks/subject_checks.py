@@ -97,7 +97,8 @@ class StabilityReport:
 
         NaN where none did.
         """
-        return min((x.margin for x in self._converged), default=np.nan)
+        margins = (x.margin for x in self.trials if x.outcome is Outcome.CONVERGED)
+        return min(margins, default=np.nan)
 
     @property
     @derived("Share of the trials in the box that converged", unit="1", key="box_converged_share")
@@ -130,10 +131,6 @@ class StabilityReport:
             *([_box_finding(self)] if self.n_samples else []),
             _points_finding(self),
         )
-
-    @property
-    def _converged(self) -> list[TrialStability]:
-        return [x for x in self.trials if x.outcome is Outcome.CONVERGED]
 
 
 def check_stability(
@@ -185,13 +182,17 @@ def check_stability(
     if not own.all_converged:
         moves = rank_moves(model, within_mm=within_mm, executor=executor)
     ends = zip(model.protocol.trials, own.outcomes, own.margins.tolist(), strict=True)
+    both = own.is_converged & whole.is_converged
+    change = np.full(len(COORDINATES), np.nan)
+    if both.any():
+        change = np.abs(own.coordinates[both] - whole.coordinates[both]).max(axis=0)
     return StabilityReport(
         protocol=model.protocol.name,
         trials=tuple(TrialStability(trial=x, outcome=y, margin=z) for x, y, z in ends),
         n_samples=n_samples,
         box_outcomes=dict(counts),
         box_margins=np.array(lowest),
-        change=_largest_change(own, whole),
+        change=change,
         moves=moves,
     )
 
@@ -215,25 +216,36 @@ def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -
     return generator.uniform(low, high, size=(n, parameters.n))
 
 
-def _largest_change(first: Prediction, second: Prediction) -> Array:
-    both = first.is_converged & second.is_converged
-    if not both.any():
-        return np.full(len(COORDINATES), np.nan)
-    difference = np.abs(first.coordinates[both] - second.coordinates[both])
-    return np.asarray(difference.max(axis=0))
-
-
 def _own_finding(report: StabilityReport) -> GeometryFinding:
     n, protocol = report.n_trials, report.protocol
     if report.n_converged < n:
         lost = [x.trial for x in report.trials if x.outcome is not Outcome.CONVERGED]
+        best = [x for x in report.moves if x.n_restored > 0][:MOST_LISTED]
+        gains = ", ".join(f"{x.words} (restores {x.n_restored})" for x in best)
+        advice = f"Move one insertion: {gains}; or several together: identknee subject settle."
+        if not best:
+            advice = (
+                f"No single insertion moved by {report.moves[0].distance_mm:g} mm restores a "
+                "trial; several together may: identknee subject settle."
+            )
+        # For each way in which trials ended: how many, which, and what it means.
+        by_outcome: dict[Outcome, list[str]] = {}
+        for one in report.trials:
+            if one.outcome is not Outcome.CONVERGED:
+                by_outcome.setdefault(one.outcome, []).append(one.trial)
+        sentences = []
+        for outcome, trials in by_outcome.items():
+            named = ", ".join(trials[:MOST_LISTED])
+            more = f" and {len(trials) - MOST_LISTED} more" if len(trials) > MOST_LISTED else ""
+            many = "1 trial" if len(trials) == 1 else f"{len(trials)} trials"
+            sentences.append(f"{many} ({named}{more}): {outcome.sentence}")
         return geometry_finding(
             "trials-not-converging",
             "stability",
             f"{n - report.n_converged} of the {n} trials of {protocol} do not converge at the "
-            f"subject's own parameters. {' '.join(_lost(report))}",
+            f"subject's own parameters. {' '.join(sentences)}",
             {"n": n, "n_lost": len(lost), "trials": lost},
-            remedy=f"{_move_advice(report.moves)} Otherwise correct the ligament parameters or "
+            remedy=f"{advice} Otherwise correct the ligament parameters or "
             "lower the loads before calibrating: a model that loses trials has cliffs in its "
             "objective.",
         )
@@ -250,33 +262,6 @@ def _own_finding(report: StabilityReport) -> GeometryFinding:
         if is_low
         else "",
     )
-
-
-def _lost(report: StabilityReport) -> list[str]:
-    """For each way in which trials ended: how many, which, and what it means."""
-    by_outcome: dict[Outcome, list[str]] = {}
-    for x in report.trials:
-        if x.outcome is not Outcome.CONVERGED:
-            by_outcome.setdefault(x.outcome, []).append(x.trial)
-    sentences = []
-    for outcome, trials in by_outcome.items():
-        named = ", ".join(trials[:MOST_LISTED])
-        more = f" and {len(trials) - MOST_LISTED} more" if len(trials) > MOST_LISTED else ""
-        many = "1 trial" if len(trials) == 1 else f"{len(trials)} trials"
-        sentences.append(f"{many} ({named}{more}): {outcome.sentence}")
-    return sentences
-
-
-def _move_advice(moves: tuple[InsertionMove, ...]) -> str:
-    """Which insertions to move, where to and what that gains."""
-    best = [x for x in moves if x.n_restored > 0][:MOST_LISTED]
-    if not best:
-        return (
-            f"No single insertion moved by {moves[0].distance_mm:g} mm restores a trial; several "
-            "together may: identknee subject settle."
-        )
-    gains = ", ".join(f"{x.words} (restores {x.n_restored})" for x in best)
-    return f"Move one insertion: {gains}; or several together: identknee subject settle."
 
 
 def _box_finding(report: StabilityReport) -> GeometryFinding:

@@ -8,19 +8,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
-from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
+from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
     BoundedProblem,
+    Evaluation,
+    Evaluator,
     Problem,
     restricted,
     with_bounds,
     with_nuisance_priors,
     without_priors,
 )
-from identknee.calibrate.starts import load_start
-from identknee.checks.trial_exclusion import TrialExclusion
-from identknee.laxity.protocol import Protocol, from_zero
+from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
@@ -33,11 +35,169 @@ from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
+MOST_ROUNDS = 8
+# Tolerance on the deviance, and the fall of it that is worth another round or a trial excluded.
+TOLERANCE, WORTH = 1e-3, 1.0
+# Shares of the step that the linear model wants. At the small ones a misfit that rises has jumped.
+JUMPS, STEP_SHARES = (1e-4, 1e-3, 1e-2), (1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0)
+# Share of the fall promised by which the misfit of a trial rises where it jumps.
+A_JUMP = 0.1
+# Confidence with which a trial must contradict the others to be left out.
+LEVEL = 0.95
+MOST_NAMES = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExclusionResult:
+    """Where a search ended that excluded trials and reinstated them.
+
+    Attributes
+    ----------
+    theta
+        Where, shape ``(p,)``.
+    is_excluded
+        Which trials could not be reinstated, shape ``(n,)``.
+    was_excluded
+        Which trials were excluded on the way, shape ``(n,)``.
+    """
+
+    theta: Array
+    is_excluded: BoolArray
+    was_excluded: BoolArray
+
+    def sentence(self, trials: Sequence[str]) -> str:
+        """The exclusion as a sentence, with the names of the trials."""
+        if not self.was_excluded.any():
+            return "Least squares from the start stopped where load paths end, and went on beyond."
+        names = [trials[i] for i in np.flatnonzero(self.was_excluded).tolist()]
+        more = len(names) - MOST_NAMES
+        others = f" and {more} more trials" if more > 0 else ""
+        return (
+            "Along the way from the start the model jumps or loses equilibrium in "
+            f"{', '.join(names[:MOST_NAMES])}{others}. These trials were excluded until the others "
+            "were fitted, then reinstated where an equilibrium exists."
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrialExclusion:
+    """Least squares that a few trials cannot stop short of the best fit to all others.
+
+    A search ends where a load path folds or the knee becomes loose, however bad the fit is there.
+    Trials to which that happens are excluded until the others are fitted.
+
+    Attributes
+    ----------
+    compared
+        The model and all data.
+    problem
+        The problem of some of the data.
+    expand
+        The parameters of the model from those of the problem.
+    """
+
+    compared: LaxityResiduals
+    problem: Callable[[Laxity], Problem]
+    expand: Callable[[Array], Array]
+
+    def run(self, start: Array) -> ExclusionResult | None:
+        """Where the search from `start` ends; None where no trial keeps it from a lower misfit.
+
+        Trials without equilibrium at the start are reinstated where the fit to the others has one.
+        """
+        out = was_excluded = self._has_lost_trials(start)
+        best = first = self._search(start, out)
+        if out.any() and best.evaluation.is_finite:
+            out = out & self._has_lost_trials(best.evaluation.theta)
+            best = self._search(best.evaluation.theta, out)
+        for _ in range(MOST_ROUNDS):
+            if best.outcome is Outcome.START_FAILED:
+                break
+            # The search continued without the trials that stop it.
+            beyond, aside = best, out
+            for _ in range(MOST_ROUNDS):
+                stopping, begin = self._blocking_trials(beyond.evaluation, aside)
+                if not stopping.any() and begin is beyond.evaluation.theta:
+                    break
+                aside = aside | stopping
+                beyond = self._search(begin, aside)
+            if beyond is best:
+                break
+            was_excluded = was_excluded | aside
+            lost = out | self._has_lost_trials(beyond.evaluation.theta)
+            again = self._search(beyond.evaluation.theta, lost)
+            if (lost & ~out).any() and not self._contradicts(best, again, out, lost):
+                break
+            if again.evaluation.deviance > best.evaluation.deviance - WORTH:
+                break
+            best, out = again, lost
+        if best is first:
+            return None
+        return ExclusionResult(
+            theta=best.evaluation.theta, is_excluded=out, was_excluded=was_excluded
+        )
+
+    def _search(self, start: Array, aside: BoolArray) -> ConstrainedFit:
+        return minimise(self._evaluator(aside), start, tolerance=TOLERANCE)
+
+    def _evaluator(self, aside: BoolArray) -> Evaluator:
+        laxity = self.compared.laxity
+        coordinates = np.where(aside[:, None], np.nan, laxity.coordinates)
+        return Evaluator(self.problem(replace(laxity, coordinates=coordinates)))
+
+    def _blocking_trials(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
+        """The trials whose misfit ends or jumps along the step that fits the others best.
+
+        And where to go on: at the lowest point along that step where none does, else from here.
+        """
+        step = -np.linalg.lstsq(at.jacobian, at.residuals, rcond=None)[0]
+        after = at.residuals + at.jacobian @ step
+        promised = at.deviance - float(after @ after)
+        stopping, lowest, start = np.zeros(aside.size, bool), at.deviance - WORTH, at.theta
+        if promised < WORTH:
+            return stopping, start
+        evaluator = self._evaluator(aside)
+        parameters, here = evaluator.parameters, self._misfits(at.theta)
+        for share in STEP_SHARES:
+            theta = np.clip(at.theta + share * step, parameters.lower, parameters.upper)
+            # An excluded trial may have no pose on either side.
+            rise = np.where(aside, 0.0, self._misfits(theta)) - np.where(aside, 0.0, here)
+            if not np.isfinite(rise).all():
+                return ~np.isfinite(rise), at.theta
+            if share in JUMPS and rise.max() > A_JUMP * promised:
+                return rise > A_JUMP * promised, at.theta
+            if (deviance := evaluator.deviance(theta)) < lowest:
+                lowest, start = deviance, theta
+        return stopping, start
+
+    def _misfits(self, theta: Array) -> Array:
+        """Squared differences of each trial with data, infinite without equilibrium, ``(n,)``."""
+        laxity = self.compared.laxity
+        differences = self.compared.differences(self.expand(theta))
+        if laxity.sd is not None:
+            differences = differences / laxity.sd
+        squares = np.where(laxity.is_measured, differences**2, 0.0).sum(axis=1)
+        return np.where(np.isnan(squares), np.inf, squares)
+
+    def _has_lost_trials(self, theta: Array) -> BoolArray:
+        return np.isinf(self._misfits(theta))
+
+    def _contradicts(
+        self, best: ConstrainedFit, without: ConstrainedFit, out: BoolArray, lost: BoolArray
+    ) -> bool:
+        """Whether the trials `lost` cost more misfit than so many values of the others have."""
+        measured = self.compared.laxity.is_measured
+        n, n_lost = int(measured[~lost].sum()), int(measured[lost & ~out].sum())
+        scale = without.evaluation.deviance / max(n - without.evaluation.theta.size, 1)
+        cost = best.evaluation.deviance - without.evaluation.deviance
+        return bool(cost > scale * chdtri(n_lost, 1.0 - LEVEL))
+
+
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-MOST_ROUNDS, BUDGET = 8, 300
+BUDGET = 300
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
 ABOUT_FALLBACK = (
@@ -109,8 +269,13 @@ class TrialSearch:
         used = self._past_stops(TrialSelection(laxity=self.laxity, start=start, sentences=said))
         if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
             return used
+        # Starts in words, and theta there, at which some trial carries a load.
+        begun = [("the given start", start)]
+        if self.model.poses is not None:
+            of_each = "% of strain at the longest measured length of each ligament"
+            begun += [(f"{100 * x:.0f} {of_each}", self._stretched(start, x)) for x in STRETCHES]
         beginnings = progress(
-            self._candidate_starts(start).items(),
+            [x for x in begun if (self._load_fraction_reached(x[1]) >= 0.0).any()],
             description="looking for a start at which all trials have an equilibrium",
         )
         made = {x: self._refit_with_reinstated_trials(y) for x, y in beginnings}
@@ -118,9 +283,10 @@ class TrialSearch:
             return TrialSelection(laxity=self.laxity, start=start, sentences=said)
         best = max(made, key=lambda x: self._start_rank(made[x].theta))
         theta = made[best].theta
+        of_many = f", the best of {len(made)} such starts" if len(made) > 1 else ""
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
-            f"equilibrium. The fit began from {best}{_of(len(made))}. These trials were first "
+            f"equilibrium. The fit began from {best}{of_many}. These trials were first "
             "fitted at the fraction of the load that the model could carry, then at full load "
             f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
@@ -173,10 +339,6 @@ class TrialSearch:
         return used, found
 
     @property
-    def _zero(self) -> tuple[Protocol, str]:
-        return self.laxity.protocol, self.laxity.zero
-
-    @property
     def measured(self) -> BoolArray:
         """Which trials have data, shape ``(n,)``."""
         return np.asarray(self.laxity.is_measured.any(axis=1))
@@ -185,7 +347,8 @@ class TrialSearch:
         """Which trials have an equilibrium, shape ``(n,)``."""
         found = self.model.predict(theta, derivatives=False).is_converged
         # A change needs both poses.
-        return ~np.isnan(from_zero(np.where(found, 0.0, np.nan), *self._zero))
+        seen = np.where(found, 0.0, np.nan)
+        return ~np.isnan(from_zero(seen, self.laxity.protocol, self.laxity.zero))
 
     def with_equilibrium(self, theta: Array) -> Laxity:
         """The data, cells of trials without equilibrium blank."""
@@ -195,16 +358,6 @@ class TrialSearch:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(residuals, self.bounds))
-
-    def _candidate_starts(self, start: Array) -> dict[str, Array]:
-        """Starts in words, and theta there, at which some trial carries a load."""
-        begun = {"the given start": start}
-        if self.model.poses is not None:
-            of_each = "% of strain at the longest measured length of each ligament"
-            begun |= {f"{100 * x:.0f} {of_each}": self._stretched(start, x) for x in STRETCHES}
-        return {
-            words: x for words, x in begun.items() if (self._load_fraction_reached(x) >= 0.0).any()
-        }
 
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""
@@ -253,10 +406,6 @@ class TrialSearch:
         used = self.with_equilibrium(theta)
         residuals = self.problem(used).residuals(theta)
         return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
-
-
-def _of(n: int) -> str:
-    return f", the best of {n} such starts" if n > 1 else ""
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
@@ -463,25 +612,21 @@ def path_findings(model: LaxityModel) -> tuple[str, ...]:
             "Equilibria were continued under increasing loads from the poses that the fitted "
             "subject states for each flexion angle, not from measured ones."
         )
-        return (sentence, *_extrapolation_findings(model))
+        angles, stated = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
+        low, high = min(stated), max(stated)
+        is_beyond = (angles < low - POSE_EVERY_DEG) | (angles > high + POSE_EVERY_DEG)
+        if is_beyond.any():
+            names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
+            beyond = (
+                f"These poses lie at {low:.0f} to {high:.0f} deg of flexion: predictions of "
+                f"trials far beyond ({names}) is extrapolated."
+            )
+            return (sentence, beyond)
+        return (sentence,)
     sentence = (
         "Each trial has a flexion angle of its own, as a rig reads it: its equilibrium was looked "
         "for from its measured pose under its whole load, not along a path from the scanned pose, "
         f"and counts within {NEAR:.0f} mm and {np.degrees(NEAR / ROTATION_SCALE):.0f} deg of it."
-    )
-    return (sentence,)
-
-
-def _extrapolation_findings(model: LaxityModel) -> tuple[str, ...]:
-    """Which trials lie beyond the flexion angles at which the knee states poses."""
-    angles, known = model.protocol.flexion_deg, [x.flexion_deg for x in model.knee.poses]
-    is_beyond = (angles < min(known) - POSE_EVERY_DEG) | (angles > max(known) + POSE_EVERY_DEG)
-    if not is_beyond.any():
-        return ()
-    names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
-    sentence = (
-        f"These poses lie at {min(known):.0f} to {max(known):.0f} deg of flexion: predictions of "
-        f"trials far beyond ({names}) is extrapolated."
     )
     return (sentence,)
 

@@ -1,10 +1,10 @@
+from .fitting import Refit as Refit
 from .fitting import fit_base as fit_base
-from .folds import Fold as Fold
-from .folds import observations_of as observations_of
 from .gain import CrossValidation as CrossValidation
+from .gain import Fold as Fold
 from .gain import elpd_difference as elpd_difference
 from .gain import held_out as held_out
+from .gain import observations_of as observations_of
 from .investigation import Investigation as Investigation
 from .investigation import investigate as investigate
-from .refit import Refit as Refit
 from .verdict import causes_of as causes_of

@@ -15,6 +15,8 @@ from identknee.diagnosis.candidates import (
 )
 from identknee.diagnosis.fitting import (
     FittedModel,
+    Refit,
+    Rival,
     base_model,
     best_fit_from,
     fitted_with_nuisances,
@@ -31,8 +33,7 @@ from identknee.diagnosis.isolability import (
     noncentrality_root,
     pair_distances,
 )
-from identknee.diagnosis.refit import Refit, Rival
-from identknee.identify.nuisances import nuisance_places
+from identknee.identify.optimum import nuisance_places
 from identknee.laxity.protocol import Protocol, concatenate, unique_names
 from identknee.laxity.table import Laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
@@ -165,7 +166,7 @@ class AdviceCandidates:
 
 @declared
 class Advice:
-    """What the advised trials would do to distances, see `identknee.diagnosis.refit`."""
+    """What the advised trials would do to distances, see `identknee.diagnosis.fitting`."""
 
     sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
@@ -236,7 +237,6 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
 
 
 def _depends_on_order(explanation: Refit) -> bool:
-    """Whether an effect depends on the trial order, which is unknown for future trials."""
     return any(x in NEEDS_ORDER | NEEDS_PHASE for x in explanation.names)
 
 
@@ -358,27 +358,32 @@ def protocol_isolability(
 
     Each structure that may be there is where anatomy puts it, but a rival may be a few millimetres
     away from there. Trials without a prediction are left out.
-
-    Parameters
-    ----------
-    knee, protocol
-        The subject and the trials.
-    sd_mm, sd_deg
-        Standard deviation of the errors, > 0.
-    seed
-        Seed of the distributions under no effect.
     """
-    fitted = _fit_to_own_predictions(knee, protocol, np.array([sd_mm] * 3 + [sd_deg] * 2))
-    if fitted is None:
+    # The base model at the subject's own values, as if fitted to its own prediction.
+    model = base_model(knee, protocol)
+    theta = model.parameters.vector(values_of(knee))
+    predicted = model.predict(theta, derivatives=False).is_converged
+    if not predicted.any():
         return None
+    model = model.with_protocol(protocol.select(np.flatnonzero(predicted)))
+    coordinates = model.predict_once(theta).coordinates
+    sds = np.broadcast_to(np.array([sd_mm] * 3 + [sd_deg] * 2), coordinates.shape)
+    laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
+    plain = best_fit_from(model, laxity, stated_noise(laxity), [theta])
+    fitted = fitted_with_nuisances(plain, sds, laxity.within_trial_correlation)
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
-    typical = [candidates.typical(x.name) for x in tried]
-    variants = [x for x in typical if x is not None]
+    variants = [x for x in [candidates.typical(x.name) for x in tried] if x is not None]
     projected = [candidates.projected(x) for x in variants]
     apart = least_favourable_distances(projected, ROOT, candidates.test.signatures)
     confused = groups(_mutual_distances(apart, [x for x in apart.effects if x != IMITATOR]))
+    square = _mutual_distances(apart, apart.effects)
+    least = np.minimum(square.values, square.values.T)
+    near = {}
+    for row, name in enumerate(square.effects):
+        order = [k for k in np.argsort(least[row], kind="stable") if k != row]
+        near[name] = tuple(square.effects[k] for k in order if least[row, k] < LEAST_DISTANCE)
     return ProtocolIsolability(
         protocol=fitted.laxity.protocol,
         visibility=tuple(candidates.visibility(x.effect) for x in variants),
@@ -388,41 +393,15 @@ def protocol_isolability(
             for names in confused
             if len(names) > 1
         ),
-        look_alikes=_confusable_pairs(apart),
+        look_alikes=near,
     )
 
 
-def _fit_to_own_predictions(knee: Knee, protocol: Protocol, sd: Array) -> FittedModel | None:
-    """The base model at the subject's own values, as if fitted to its own prediction."""
-    model = base_model(knee, protocol)
-    theta = model.parameters.vector(values_of(knee))
-    predicted = model.predict(theta, derivatives=False).is_converged
-    if not predicted.any():
-        return None
-    model = model.with_protocol(protocol.select(np.flatnonzero(predicted)))
-    coordinates = model.predict_once(theta).coordinates
-    sds = np.broadcast_to(sd, coordinates.shape)
-    laxity = Laxity(protocol=model.protocol, coordinates=coordinates, sd=sds)
-    plain = best_fit_from(model, laxity, stated_noise(laxity), [theta])
-    return fitted_with_nuisances(plain, sds, laxity.within_trial_correlation)
-
-
 def _mutual_distances(apart: Distances, names: Sequence[str]) -> Distances:
-    """The mutual distances of these effects."""
     rows = [apart.effects.index(x) for x in names]
     columns = [apart.rivals.index(x) for x in names]
     values = apart.values[np.ix_(rows, columns)]
     return Distances(effects=tuple(names), rivals=tuple(names), values=values)
-
-
-def _confusable_pairs(apart: Distances) -> dict[str, tuple[str, ...]]:
-    square = _mutual_distances(apart, apart.effects)
-    least = np.minimum(square.values, square.values.T)
-    near = {}
-    for row, name in enumerate(square.effects):
-        order = [k for k in np.argsort(least[row], kind="stable") if k != row]
-        near[name] = tuple(square.effects[k] for k in order if least[row, k] < LEAST_DISTANCE)
-    return near
 
 
 def _advise(

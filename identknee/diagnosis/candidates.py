@@ -6,9 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from identknee.checks.fit_warnings import BEYOND_PRIOR
-from identknee.diagnosis.fitting import FittedModel
-from identknee.diagnosis.refit import FAR_EVIDENCE, Refit, refit
+from identknee.checks.fit_checks import BEYOND_PRIOR
+from identknee.diagnosis.fitting import FAR_EVIDENCE, FittedModel, Refit, refit
 from identknee.diagnosis.score import (
     LEVEL,
     MOST_SIGNED,
@@ -80,8 +79,7 @@ def library_variants(fitted: FittedModel, effects: Sequence[Effect]) -> tuple[Va
     nothing (such as bundles) those half way to a prior standard deviation.
     """
     grid = [x for x in effects if isinstance(x, MissingStructure) and x.sites_vary]
-    others = [x for x in effects if x not in grid]
-    found = list(_tangents(fitted, others))
+    found = list(_tangents(fitted, [x for x in effects if x not in grid]))
     for structure in grid:
         found += _at_sites(fitted, structure)
     return tuple(found)
@@ -168,7 +166,14 @@ def secant_amplitudes(effect: Effect, values: Array) -> Array:
 
 def _at_sites(fitted: FittedModel, structure: MissingStructure) -> list[Variant]:
     """Variants of a missing structure on a grid of sites and reference strains."""
-    moves = _site_moves(structure.parameters.n)
+    # No shift, each of three coordinates shifted alone, all three together: 15 amplitudes.
+    moves = [np.zeros(structure.parameters.n)]
+    for i, sign in product(SHIFTED, (-1.0, 1.0)):
+        moves.append(np.zeros(structure.parameters.n))
+        moves[-1][i] = sign * SHIFT
+    for signs in product((-1.0, 1.0), repeat=len(SHIFTED)):
+        moves.append(np.zeros(structure.parameters.n))
+        moves[-1][list(SHIFTED)] = np.array(signs) * SHIFT
     strains = np.array(STRAINS)
     m = len(structure.femoral)
     femoral = np.concatenate([structure.femoral + x[2:5] for x in moves])
@@ -208,18 +213,6 @@ def pose_changes(fitted: FittedModel, gradients: Array) -> Array:
         raise AssertionError
     moved = -np.linalg.solve(prediction.hessians, gradients)
     return np.asarray(coordinate_jacobian(prediction.poses) @ moved)
-
-
-def _site_moves(n: int) -> list[Array]:
-    """No shift, each of three coordinates shifted alone, all three together: 15 amplitudes."""
-    moves = [np.zeros(n)]
-    for k, sign in product(SHIFTED, (-1.0, 1.0)):
-        moves.append(np.zeros(n))
-        moves[-1][k] = sign * SHIFT
-    for signs in product((-1.0, 1.0), repeat=len(SHIFTED)):
-        moves.append(np.zeros(n))
-        moves[-1][list(SHIFTED)] = np.array(signs) * SHIFT
-    return moves
 
 
 def _site_variant(
@@ -313,7 +306,18 @@ class CandidateCauses:
             name = effect.parameters.names[0]
             detectable, power = float("inf"), LEVEL
         else:
-            name, detectable, power = self._least_detectable(variant, relevant)
+            # The amplitude hardest to see, its detectable size, and the power at `relevant`.
+            signature = self.projected(variant)
+            names = [variant.effect.parameters.names[i] for i in variant.moved]
+            unit = unit_of(names[0])
+            # Plain numbers are not alike for having no unit.
+            alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != PLAIN]
+            least = min(alike, key=lambda k: signature.gram[k, k])
+            amplitude = np.zeros(len(names))
+            amplitude[least] = relevant * (signature.signature.sign[least] or 1)
+            name = names[least]
+            detectable = detectable_amplitude(self.test, signature, least)
+            power = detection_power(self.test, signature, amplitude)
         return Detectability(
             name=effect.name,
             parameter=name.partition(".")[2],
@@ -335,37 +339,11 @@ class CandidateCauses:
             p_value=p_value,
         )
 
-    def _least_detectable(self, variant: Variant, relevant: float) -> tuple[str, float, float]:
-        """The amplitude hardest to see, its detectable size, and the power at `relevant`."""
-        signature = self.projected(variant)
-        names = [variant.effect.parameters.names[i] for i in variant.moved]
-        unit = unit_of(names[0])
-        # Plain numbers are not alike for having no unit.
-        alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != PLAIN]
-        least = min(alike, key=lambda k: signature.gram[k, k])
-        amplitude = np.zeros(len(names))
-        amplitude[least] = relevant * (signature.signature.sign[least] or 1)
-        return (
-            names[least],
-            detectable_amplitude(self.test, signature, least),
-            detection_power(self.test, signature, amplitude),
-        )
-
 
 def library_candidates(
     fitted: FittedModel, effects: Sequence[Effect], *, seed: int
 ) -> CandidateCauses:
-    """Signatures of all effects at a fit, and the test of them for noise of unknown size.
-
-    Parameters
-    ----------
-    fitted
-        The fit.
-    effects
-        The candidates.
-    seed
-        Seed of the distribution of the largest score.
-    """
+    """Signatures of all effects at a fit, and the test of them for noise of unknown size."""
     variants = library_variants(fitted, effects)
     signatures = [x.signature for x in variants]
     test = score_test(fitted.projector, signatures, seed=seed, scale="unknown")
@@ -419,16 +397,10 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
     angles = np.unique(protocol.flexion_deg)
     if max(stated.zero_mm, stated.zero_deg) > 0.0 or protocol.n < LEAST_TRIALS * len(angles):
         return None
-    effect = remounting(angles.tolist())
-    if base.fitted.laxity.zero != "absolute" or _score(base, effect) < LEAST_SCORE:
+    if base.fitted.laxity.zero != "absolute":
         return None
-    start = np.r_[base.fitted.theta, effect.parameters.center]
-    explained = refit(base, [effect], [start])
-    return effect if explained.log_evidence > best.log_evidence + FAR_EVIDENCE else None
-
-
-def _score(base: Refit, effect: Remounting) -> float:
-    """How strongly the fit speaks for the errors, in units of its own residuals."""
+    # How strongly the fit speaks for the errors, in units of its own residuals.
+    effect = remounting(angles.tolist())
     fitted, p = base.fitted, effect.parameters
     model = fitted.model.with_effects([*fitted.model.effects, effect])
     jacobian = model.predict_once(np.r_[fitted.theta, p.center]).jacobian
@@ -445,4 +417,7 @@ def _score(base: Refit, effect: Remounting) -> float:
     seen = project_signature(projector, signature)
     left = projector.project(fitted.residual_rows())
     left *= np.sqrt(projector.degrees_of_freedom) / np.linalg.norm(left)
-    return float(seen.z_score(seen.gain((left @ seen.projected)[None]))[0])
+    if seen.z_score(seen.gain((left @ seen.projected)[None]))[0] < LEAST_SCORE:
+        return None
+    explained = refit(base, [effect], [np.r_[base.fitted.theta, effect.parameters.center]])
+    return effect if explained.log_evidence > best.log_evidence + FAR_EVIDENCE else None

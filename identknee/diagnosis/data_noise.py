@@ -1,7 +1,5 @@
 """The noise of measured laxity and its correlation, from the data."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations
 
@@ -184,18 +182,6 @@ class DataNoise:
         return f"{found}, {times} times the stated noise."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _EmpiricalNoise:
-    """Empirical noise relative to the stated noise, by unit."""
-
-    scales: Mapping[str, EstimatedScale]
-    source: NoiseSource
-
-    @property
-    def degrees(self) -> float:
-        return sum(x.degrees_of_freedom for x in self.scales.values())
-
-
 def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     """The noise of the data; None where it is neither stated nor to be seen in them.
 
@@ -215,49 +201,47 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     stated = np.where(measured, 1.0, np.nan) if laxity.sd is None else np.array(laxity.sd)
     relative = residuals / stated
     units = [unit for unit, columns in UNITS.items() if measured[:, columns].any()]
-    looked = (_in_replicates(laxity, relative), _in_curves(laxity, relative))
-    whole = [x for x in looked if all(unit in x.scales for unit in units)]
-    seen = max(whole, key=lambda x: x.degrees, default=None)
-    if seen is None or seen.degrees < TRUSTED_DEGREES:
-        return _as_stated(laxity)
+    replicates, curves = replicates_of(laxity), load_curves(laxity.protocol)
+    in_replicates = {x: scale_of_replicates(replicates, relative, k) for x, k in UNITS.items()}
+    in_curves = {
+        x: estimate_scale(relative[:, k], measured[:, k], curves) for x, k in UNITS.items()
+    }
+    looked = [(NoiseSource.STATED, dict[str, EstimatedScale](), -np.inf)]
+    for source, found in (
+        (NoiseSource.REPLICATES, in_replicates),
+        (NoiseSource.CURVES, in_curves),
+    ):
+        scales = {unit: x for unit, x in found.items() if x is not None}
+        if all(unit in scales for unit in units):
+            looked.append((source, scales, sum(x.degrees_of_freedom for x in scales.values())))
+    source, scales, degrees = max(looked, key=lambda x: x[2])
+    if degrees < TRUSTED_DEGREES:
+        if laxity.sd is None:
+            return None
+        return DataNoise(
+            sd=laxity.sd,
+            correlation=laxity.within_trial_correlation,
+            factors=None,
+            degrees_of_freedom=np.inf,
+            source=NoiseSource.STATED,
+        )
     sd, factors = stated, dict.fromkeys(UNITS, np.nan)
     for unit in units:
-        scale = seen.scales[unit]
+        scale = scales[unit]
         factors[unit] = scale.sd if laxity.sd is None else _pooled_noise(scale)
         sd[:, UNITS[unit]] *= factors[unit]
-    shared = _correlation(laxity, residuals / sd, seen.source)
+    # What the errors of a trial share, as the same trials show it that show their size.
+    if source is NoiseSource.REPLICATES:
+        shared = correlation_of_replicates(replicates, residuals / sd)
+    else:
+        shared = estimate_correlation(residuals / sd, measured, curves)
     return DataNoise(
         sd=sd,
         correlation=laxity.within_trial_correlation if shared is None else shared,
         factors=None if laxity.sd is None else (factors["mm"], factors["deg"]),
-        degrees_of_freedom=seen.degrees,
-        source=seen.source,
+        degrees_of_freedom=degrees,
+        source=source,
     )
-
-
-def _in_replicates(laxity: Laxity, relative: Array) -> _EmpiricalNoise:
-    replicates = replicates_of(laxity)
-    found = {unit: scale_of_replicates(replicates, relative, x) for unit, x in UNITS.items()}
-    return _seen(found, NoiseSource.REPLICATES)
-
-
-def _in_curves(laxity: Laxity, relative: Array) -> _EmpiricalNoise:
-    measured, curves = laxity.is_measured, load_curves(laxity.protocol)
-    found = {
-        unit: estimate_scale(relative[:, x], measured[:, x], curves) for unit, x in UNITS.items()
-    }
-    return _seen(found, NoiseSource.CURVES)
-
-
-def _seen(found: Mapping[str, EstimatedScale | None], source: NoiseSource) -> _EmpiricalNoise:
-    return _EmpiricalNoise(scales={k: x for k, x in found.items() if x is not None}, source=source)
-
-
-def _correlation(laxity: Laxity, relative: Array, source: NoiseSource) -> float | None:
-    """What the errors of a trial share, as the same trials show it that show their size."""
-    if source is NoiseSource.REPLICATES:
-        return correlation_of_replicates(replicates_of(laxity), relative)
-    return estimate_correlation(relative, laxity.is_measured, load_curves(laxity.protocol))
 
 
 def _pooled_noise(scale: EstimatedScale) -> float:
@@ -267,15 +251,3 @@ def _pooled_noise(scale: EstimatedScale) -> float:
     if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):
         return scale.sd
     return float(np.exp(seen * STATED_SPREAD**2 / (STATED_SPREAD**2 + spread)))
-
-
-def _as_stated(laxity: Laxity) -> DataNoise | None:
-    if laxity.sd is None:
-        return None
-    return DataNoise(
-        sd=laxity.sd,
-        correlation=laxity.within_trial_correlation,
-        factors=None,
-        degrees_of_freedom=np.inf,
-        source=NoiseSource.STATED,
-    )

@@ -1,33 +1,171 @@
-"""What a named cause gains: misfit, prediction of held trials, evidence, parameters, forces."""
+"""What a named cause gains: misfit, prediction of held-out folds, evidence, parameters, forces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum, unique
+from enum import unique
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
-from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
-from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
-from identknee.calibrate.problem import Problem, ProblemWithPriors
+from identknee.calibrate.bounded_least_squares import minimise
+from identknee.calibrate.problem import Evaluation, Evaluator, Problem, ProblemWithPriors, evaluate
 from identknee.diagnosis.fitting import FittedModel, whitened_problem
-from identknee.diagnosis.folds import (
-    Fold,
-    Observations,
-    Rmse,
-    extreme_trials,
-    held_out_folds,
-    observations_of,
-)
 from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
+from identknee.diagnosis.noise_model import NoiseModel
 from identknee.identify.laplace import Interval, Laplace, laplace
-from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import COORDINATES
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_ANGLE_DEG,
+    Protocol,
+    nominal_flexion,
+    nominal_loads,
+)
+from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import tensions_of
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.record import WithSentence
+
+FLEXION = "flexion"
+DIRECTION = "load direction"
+EXTREMES = "extreme loads"
+FAMILIES = (FLEXION, DIRECTION, EXTREMES)
+# Share of the largest load of its kind beyond which a load is extreme.
+EXTREME_SHARE = 0.8
+ROUNDING = 1e-9
+
+
+@declared
+class Fold:
+    """Trials that are held out of a fit together.
+
+    Raises
+    ------
+    ValueError
+        If all trials are held out, or none.
+    """
+
+    family: str = entry("One of `FAMILIES`")
+    name: str = entry('Which trials, such as ``"30 deg"`` or ``"varus moment"``')
+    held: BoolArray = array(
+        "Whether a trial is held out; some are and some are not", "trial", dtype=bool
+    )
+
+    def __post_init__(self) -> None:
+        if self.held.all() or not self.held.any():
+            raise ValueError(
+                f"the fold {self.name!r} must hold out some trials and keep some; "
+                f"it holds out {int(self.held.sum())} of {self.held.size}"
+            )
+
+
+def held_out_folds(protocol: Protocol) -> tuple[Fold, ...]:
+    """Folds of three families: a flexion angle, a direction of load, and the largest loads.
+
+    A fold that would hold out every trial is none: a protocol of one flexion angle has no fold of
+    that family. A load of one size only has no extremes, since nothing smaller of it is left to
+    learn from. In a robot's table a flexion angle is the one that was meant, and loads are those
+    that a trial is about: stray ones have no direction.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> [fold.name for fold in held_out_folds(load_protocol("seed63"))][:5]
+    ['0 deg', '30 deg', '60 deg', 'internal moment', 'external moment']
+    """
+    # Angles of a rig that differ by its scatter are one.
+    flexion_deg = nominal_flexion(protocol)
+    angles = np.unique(flexion_deg)
+    starts = np.flatnonzero(np.diff(angles, prepend=-np.inf) > SAME_ANGLE_DEG)
+    group = np.searchsorted(angles[starts], flexion_deg, side="right") - 1
+    found = [
+        (FLEXION, f"{np.median(flexion_deg[group == i]):g} deg", np.asarray(group == i))
+        for i in range(len(starts))
+    ]
+    for names, load in zip(DIRECTIONS, _acting(protocol).T, strict=True):
+        found += [
+            (DIRECTION, name, np.asarray(sign * load > 0))
+            for name, sign in zip(names, (1.0, -1.0), strict=True)
+        ]
+    found.append((EXTREMES, "largest loads", extreme_trials(protocol)))
+    return tuple(
+        Fold(family=family, name=name, held=held)
+        for family, name, held in found
+        if held.any() and not held.all()
+    )
+
+
+def extreme_trials(protocol: Protocol) -> BoolArray:
+    """Whether a trial bears a load of at least 80 % of the largest of its kind, shape ``(n,)``."""
+    sizes = np.abs(_acting(protocol))
+    largest = sizes.max(axis=0, initial=0.0)
+    beyond = (sizes >= (EXTREME_SHARE - ROUNDING) * largest) & (sizes > 0)
+    varies = ((sizes > 0) & ~beyond).any(axis=0)
+    return np.asarray((beyond & varies).any(axis=1))
+
+
+def _acting(protocol: Protocol) -> Array:
+    """The loads, shape ``(n, 5)``; of a robot's trials, which read all of them, those told."""
+    is_nominal = np.array_equal(nominal_flexion(protocol), protocol.flexion_deg)
+    return protocol.loads if is_nominal else nominal_loads(protocol)
+
+
+@declared
+class Rmse:
+    """Root-mean-square errors; NaN, in a file null, where there is nothing to compare."""
+
+    mm: float = entry("Error of the translations", unit="mm")
+    deg: float = entry("Error of the rotations", unit="deg")
+    noise: float = entry(
+        "Error of all values in units of their noise: 1 where nothing but noise is left", unit="1"
+    )
+
+
+@declared
+class Observations:
+    """What is known of the m measured values besides their size."""
+
+    trial: IntArray = array("The trial of each", "value", dtype=int)
+    coordinate: IntArray = array(
+        "Its place in `identknee.laxity.table.COORDINATES`", "value", dtype=int
+    )
+    sd: Array = array("Standard deviation of its noise alone, in its unit, > 0", "value")
+    noise: NoiseModel = entry("Covariance of all errors, nuisances included")
+    n_trials: int = entry("Trials of the protocol, those that measured nothing included")
+
+    @property
+    def is_angle(self) -> BoolArray:
+        """Whether a value is a rotation, shape ``(m,)``."""
+        return np.asarray(self.coordinate >= ROTATIONS.start)
+
+    def rmse(self, errors: Array) -> Rmse:
+        """Root-mean-square of errors in mm and deg, shape ``(..., m)``; NaN is left out."""
+        squares = errors**2
+        return Rmse(
+            mm=_root_mean(squares[..., ~self.is_angle]),
+            deg=_root_mean(squares[..., self.is_angle]),
+            noise=_root_mean(squares / self.sd**2),
+        )
+
+
+def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observations:
+    """The measured values of `laxity`."""
+    trial, coordinate = np.nonzero(laxity.is_measured)
+    return Observations(
+        trial=trial,
+        coordinate=coordinate,
+        sd=sd[laxity.is_measured],
+        noise=noise,
+        n_trials=laxity.n,
+    )
+
+
+def _root_mean(squares: Array) -> float:
+    known = squares[~np.isnan(squares)]
+    return float(np.sqrt(known.mean())) if known.size else float("nan")
+
 
 # Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.
 LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
@@ -71,17 +209,6 @@ def fit_discrepancy(
     A process in each coordinate, smooth in flexion and loads, from which everything is taken out
     that a change of the fitted parameters could do, so that it leaves the fit as it is. Its
     spreads and lengths are those of highest marginal likelihood.
-
-    Parameters
-    ----------
-    problem
-        Predicted less measured values in mm and deg.
-    observations
-        The measured values.
-    theta
-        The fit, shape ``(p,)``.
-    protocol
-        The trials.
 
     References
     ----------
@@ -179,26 +306,19 @@ LEAST_SINGULAR_VALUE = 1e-6
 
 
 @unique
-class FoldStatus(Enum):
+class FoldStatus(WithSentence):
     """Outcome of a fold."""
 
-    SCORED = "scored"
-    NOT_MEASURED = "not_measured"
-    NOT_IDENTIFIED = "not_identified"
-    FAILED = "failed"
-
-    @property
-    def sentence(self) -> str:
-        """The same for a person."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    FoldStatus.SCORED: "The held-out trials were predicted from the others.",
-    FoldStatus.NOT_MEASURED: "No values were measured in the held-out trials or outside them.",
-    FoldStatus.NOT_IDENTIFIED: "Only the held-out trials determine a parameter they depend on.",
-    FoldStatus.FAILED: "The model has no prediction where the fit to the other trials began.",
-}
+    SCORED = ("scored", "The held-out trials were predicted from the others.")
+    NOT_MEASURED = (
+        "not_measured",
+        "No values were measured in the held-out trials or outside them.",
+    )
+    NOT_IDENTIFIED = (
+        "not_identified",
+        "Only the held-out trials determine a parameter they depend on.",
+    )
+    FAILED = ("failed", "The model has no prediction where the fit to the other trials began.")
 
 
 @declared
@@ -375,45 +495,31 @@ def _score(
     left = -(at.residuals[held] - weights @ at.residuals[kept])
     slope = at.jacobian[held] - weights @ at.jacobian[kept]
     spread = covariance[np.ix_(held, held)] - weights @ shared.T
-    spread += slope @ _posterior_covariance(found) @ slope.T
+    # The parameters vary too, but for those that a bound holds.
+    jacobian, free = found.evaluation.jacobian, np.flatnonzero(~found.is_held)
+    own_covariance = np.zeros((jacobian.shape[1],) * 2)
+    information = jacobian[:, free].T @ jacobian[:, free]
+    own_covariance[np.ix_(free, free)] = cho_solve(cho_factor(information), np.eye(free.size))
+    spread += slope @ own_covariance @ slope.T
     errors, predicted = (np.full(len(covariance), np.nan) for _ in range(2))
     errors[held], predicted[held] = left, np.sqrt(np.diag(spread))
+    # Log density of each trial's values together, shape ``(n,)``; NaN where it has none.
+    trial = observations.trial[held]
+    densities = np.full(observations.n_trials, np.nan)
+    for number in np.unique(trial):
+        own = np.flatnonzero(trial == number)
+        root = np.linalg.cholesky(spread[np.ix_(own, own)])
+        whitened = solve_triangular(root, left[own], lower=True)
+        densities[number] = -0.5 * (whitened @ whitened + own.size * np.log(2.0 * np.pi))
+        densities[number] -= np.log(np.diag(root)).sum()
     return FoldScore(
         fold=fold,
         status=FoldStatus.SCORED,
         theta=found.evaluation.theta,
         errors=errors,
         predicted=predicted,
-        log_density=_by_trial(left, spread, observations.trial[held], observations.n_trials),
+        log_density=densities,
     )
-
-
-def _posterior_covariance(found: ConstrainedFit) -> Array:
-    """Covariance of the parameters of a fit with priors, shape ``(p, p)``.
-
-    Parameters
-    ----------
-    found
-        A fit in units of the noise, rows of the priors included. A parameter that a bound holds
-        does not vary.
-    """
-    jacobian, free = found.evaluation.jacobian, np.flatnonzero(~found.is_held)
-    covariance = np.zeros((jacobian.shape[1],) * 2)
-    information = jacobian[:, free].T @ jacobian[:, free]
-    covariance[np.ix_(free, free)] = cho_solve(cho_factor(information), np.eye(free.size))
-    return covariance
-
-
-def _by_trial(left: Array, spread: Array, trial: IntArray, n_trials: int) -> Array:
-    """Log density of each trial's values together, shape ``(n,)``; NaN where it has none."""
-    densities = np.full(n_trials, np.nan)
-    for number in np.unique(trial):
-        own = np.flatnonzero(trial == number)
-        factor = np.linalg.cholesky(spread[np.ix_(own, own)])
-        whitened = solve_triangular(factor, left[own], lower=True)
-        densities[number] = -0.5 * (whitened @ whitened + own.size * np.log(2.0 * np.pi))
-        densities[number] -= np.log(np.diag(factor)).sum()
-    return densities
 
 
 def _depends_on_prior(
@@ -676,6 +782,16 @@ def measure_gain(
         errors=discrepancy.errors,
         in_sample=observations.rmse(discrepancy.errors),
     )
+    explained = {}
+    for k in np.unique(observations.coordinate):
+        own = observations.coordinate == k
+        whole, left = (np.sum((x.errors[own] / observations.sd[own]) ** 2) for x in assessed)
+        explained[COORDINATES[k]] = float(1.0 - left / whole) if whole > 0 else 0.0
+    extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
+    forces = []
+    for fitted in (before, after):
+        model = fitted.compared.model
+        forces.append(tensions_of(model, model.predict_once(fitted.theta))[extreme])
     return Gain(
         before=assessed[0],
         after=assessed[1],
@@ -683,9 +799,14 @@ def measure_gain(
         discrepancy=discrepancy,
         elpd=elpd_difference(assessed[0].held_out, assessed[1].held_out),
         elpd_absorbed=elpd_difference(assessed[0].held_out, absorbed.held_out),
-        explained=_explained(observations, assessed[0].errors, assessed[1].errors),
+        explained=explained,
         parameters=_parameter_changes(before, after, assessed[0].posterior, assessed[1].posterior),
-        forces=_force_change(before, after),
+        forces=ForceChange(
+            trials=tuple(before.laxity.protocol.trials[i] for i in extreme),
+            ligaments=tuple(x.name for x in before.model.knee.ligaments),
+            before=forces[0],
+            after=forces[1],
+        ),
     )
 
 
@@ -707,15 +828,6 @@ def _assess(
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
         posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
     )
-
-
-def _explained(observations: Observations, before: Array, after: Array) -> dict[str, float]:
-    shares = {}
-    for i in np.unique(observations.coordinate):
-        own = observations.coordinate == i
-        left, whole = (np.sum((x[own] / observations.sd[own]) ** 2) for x in (after, before))
-        shares[COORDINATES[i]] = float(1.0 - left / whole) if whole > 0 else 0.0
-    return shares
 
 
 def _parameter_changes(
@@ -741,17 +853,3 @@ def _parameter_changes(
             )
         )
     return tuple(changes)
-
-
-def _force_change(before: FittedModel, after: FittedModel) -> ForceChange:
-    extreme = np.flatnonzero(extreme_trials(before.laxity.protocol))
-    forces = []
-    for fitted in (before, after):
-        model = fitted.compared.model
-        forces.append(tensions_of(model, model.predict_once(fitted.theta))[extreme])
-    return ForceChange(
-        trials=tuple(before.laxity.protocol.trials[i] for i in extreme),
-        ligaments=tuple(x.name for x in before.model.knee.ligaments),
-        before=forces[0],
-        after=forces[1],
-    )

@@ -5,19 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from identknee.calibrate.starts import load_start
-from identknee.checks.fit_warnings import bound_findings, parameters_at_zero
+from identknee.calibrate.fit import load_start
+from identknee.checks.fit_checks import bound_findings, parameters_at_zero
 from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import AdvisedProtocol, advise
-from identknee.diagnosis.attribution import (
-    FAR_FROM_DONE,
-    SIMPLE,
-    Attribution,
-    attribute,
-)
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.fitting import BaseFit, best_fit_from, fit_base
+from identknee.diagnosis.fitting import BaseFit, Refit, best_fit_from, fit_base, without_causes
 from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
@@ -28,8 +22,18 @@ from identknee.diagnosis.missing_line import (
     missing_pulls,
     missing_wrench,
 )
-from identknee.diagnosis.refit import Refit, without_causes
-from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
+from identknee.diagnosis.score import LEVEL
+from identknee.diagnosis.verdict import (
+    FAR_FROM_DONE,
+    SIMPLE,
+    Attribution,
+    Cause,
+    Conclusion,
+    Verdict,
+    attribute,
+    causes_of,
+    conclude,
+)
 from identknee.laxity.protocol import nominal_flexion, nominal_loads
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import SHORT_DIRECTIONS
@@ -306,8 +310,7 @@ def better_start(attribution: Attribution) -> Array | None:
     base, best = attribution.base.fitted, attribution.best.fitted
     if best is base:
         return None
-    n_base = attribution.base.n_base
-    start, ends = best.theta[:n_base], [base.evaluation]
+    start, ends = best.theta[: attribution.base.n_base], [base.evaluation]
     again = best_fit_from(base.model, base.laxity, base.noise, [start], ends=ends)
     if again.evaluation.deviance > base.evaluation.deviance - LOWER:
         return None

@@ -94,7 +94,13 @@ def least_favourable_distances(
     names = effect_names(rivals)
     values = np.full((len(effects), len(names)), np.inf)
     for row, effect in enumerate(effects):
-        mixes = _plausible_mixes(effect, root)
+        # Mixes of amplitudes that all stand out by 1 and are orthogonal in that, shape ``(k, n)``.
+        prior_sd = effect.signature.prior_sd
+        size, vectors = np.linalg.eigh(prior_sd[:, None] * effect.gram * prior_sd)
+        plausible = size >= (root / REACH) ** 2
+        plausible[-1] = True
+        used = np.maximum(size[plausible], np.finfo(np.float64).tiny)
+        mixes = np.asarray(prior_sd[:, None] * vectors[:, plausible] / np.sqrt(used))
         for rival in rivals if effect.is_seen else ():
             shared = rival.projected.T @ effect.projected
             left = effect.gram - shared.T @ rival.covariance @ shared
@@ -121,8 +127,7 @@ def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[st
     """
     if set(found.effects) != set(found.rivals):
         raise ValueError("groups need the distances of effects from one another")
-    order = [found.rivals.index(x) for x in found.effects]
-    values = found.values[:, order]
+    values = found.values[:, [found.rivals.index(x) for x in found.effects]]
     _, labels = connected_components(values < least, directed=False)
     return tuple(
         tuple(name for name, label in zip(found.effects, labels, strict=True) if label == group)
@@ -256,16 +261,6 @@ def _lower(values: Array, row: int, column: int, square: float) -> None:
 def _zero_for_same_effect(row: Array, names: tuple[str, ...], effect: ProjectedSignature) -> None:
     if effect.signature.name in names:
         row[names.index(effect.signature.name)] = 0.0
-
-
-def _plausible_mixes(effect: ProjectedSignature, root: float) -> Array:
-    """Mixes of amplitudes that all stand out by 1 and are orthogonal in that, shape ``(k, n)``."""
-    prior_sd = effect.signature.prior_sd
-    size, vectors = np.linalg.eigh(prior_sd[:, None] * effect.gram * prior_sd)
-    plausible = size >= (root / REACH) ** 2
-    plausible[-1] = True
-    used = np.maximum(size[plausible], np.finfo(np.float64).tiny)
-    return np.asarray(prior_sd[:, None] * vectors[:, plausible] / np.sqrt(used))
 
 
 def _pair_distances(information: Array, pairs: Sequence[Pair], n_base: int) -> Array:

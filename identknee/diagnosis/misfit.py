@@ -1,7 +1,6 @@
 """What of residuals the fitted parameters cannot explain, and whether that looks like noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -76,7 +75,13 @@ class Projector:
         """The projector that takes out `columns` too, shape ``(m, k)`` as in `padded`."""
         # Twice, so that little is left of the basis also where little is left of a column.
         left = self.project(self.project(columns))
-        new = _orthonormal(left, np.linalg.norm(columns, axis=0))
+        # A basis of `columns`, each compared with the size it had before any projection.
+        sizes = np.linalg.norm(columns, axis=0)
+        seen = np.linalg.norm(left, axis=0) > LEAST_SINGULAR_VALUE * sizes
+        if not seen.any():
+            return self
+        basis, size, _ = np.linalg.svd(left[:, seen] / sizes[seen], full_matrices=False)
+        new = basis[:, size > LEAST_SINGULAR_VALUE * size[0]]
         return Projector(basis=np.hstack([self.basis, new]))
 
 
@@ -90,17 +95,7 @@ def base_projector(jacobian: Array) -> Projector:
         their prior, ``[J; C0^(-1/2)]``, shape ``(m, p)``. Every direction is taken out whose
         singular value is more than 1e-6 of the largest, columns scaled to length 1.
     """
-    nothing = Projector(basis=np.zeros((len(jacobian), 0)))
-    return nothing.with_columns(jacobian)
-
-
-def _orthonormal(columns: Array, sizes: Array) -> Array:
-    """A basis of `columns`, each compared with the size it had before any projection."""
-    seen = np.linalg.norm(columns, axis=0) > LEAST_SINGULAR_VALUE * sizes
-    if not seen.any():
-        return np.zeros((len(columns), 0))
-    left, size, _ = np.linalg.svd(columns[:, seen] / sizes[seen], full_matrices=False)
-    return np.asarray(left[:, size > LEAST_SINGULAR_VALUE * size[0]])
+    return Projector(basis=np.zeros((len(jacobian), 0))).with_columns(jacobian)
 
 
 @declared
@@ -167,8 +162,7 @@ def nested_check(
         raise ValueError("the fitted parameters explain every pattern; nothing is left to test")
     whole, left = projector.project(residuals), wider.project(residuals)
     squares_left = float(left @ left)
-    square = float(whole @ whole) - squares_left
-    return chi2_or_f_test(square, rank, noise_degrees)
+    return chi2_or_f_test(float(whole @ whole) - squares_left, rank, noise_degrees)
 
 
 def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Array:
@@ -194,7 +188,10 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     half = max(float(np.ptp(flexion)) / 2, np.finfo(np.float64).tiny)
     powers = np.vander((flexion - middle) / half, min(len(np.unique(flexion)), 3))
     trials = np.einsum("na,np->nap", np.stack(along, axis=1), powers).reshape(len(loads), -1)
-    return _for_each_coordinate(trials, is_measured)
+    # Patterns of trials, shape ``(n, k)``, in each coordinate alone, measured rows only.
+    whole = np.einsum("nk,ij->nijk", trials, np.eye(is_measured.shape[1]))
+    rows = np.asarray(whole[is_measured]).reshape(int(is_measured.sum()), -1)
+    return np.asarray(rows[:, rows.any(axis=0)])
 
 
 def cauchy_combination(p_values: Sequence[float]) -> float:
@@ -224,14 +221,6 @@ def chi2_or_f_test(square: float, degrees: int, noise_degrees: float) -> Residua
     ratio = square / degrees
     p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))
     return ResidualTest(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
-
-
-def _for_each_coordinate(trials: Array, is_measured: BoolArray) -> Array:
-    """Patterns of trials, shape ``(n, k)``, in each coordinate alone, measured rows only."""
-    n_coordinates = is_measured.shape[1]
-    whole = np.einsum("nk,ij->nijk", trials, np.eye(n_coordinates))
-    rows = np.asarray(whole[is_measured]).reshape(int(is_measured.sum()), -1)
-    return np.asarray(rows[:, rows.any(axis=0)])
 
 
 def log_chi2_tail(value: Array, degrees: float) -> Array:
@@ -394,81 +383,51 @@ def localise(
     seed
         Seed of the draws that adjust the probabilities for the number of cells.
     """
-    cells, columns = _seen(_cells(layout), projector, noise)
-    scores = projector.project(residuals) @ columns
-    p_values = _p_values(np.abs(scores), columns, seed)
-    found = tuple(
-        CellScore(
-            coordinate=cell.coordinate,
-            flexion_deg=cell.flexion_deg,
-            direction=cell.direction,
-            score=float(score),
-            p_value=float(p_value),
-        )
-        for cell, score, p_value in zip(cells, scores, p_values, strict=True)
-    )
-    region = _region(found, layout)
-    rows = np.zeros(len(noise.factor), dtype=bool)
-    for index in region:
-        rows |= cells[index].rows
-    share = _fraction_of_excess(residuals, projector, noise, rows) if region else 0.0
-    return Localisation(cells=found, region=tuple(found[i] for i in region), share=share)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Cell:
-    """One coordinate, flexion and direction, and which of the m values belong to it."""
-
-    coordinate: str
-    flexion_deg: float
-    direction: str
-    rows: BoolArray
-
-
-def _cells(layout: TrialLayout) -> list[_Cell]:
-    """Those that have data."""
-    cells = []
+    # The cells that have data: coordinate, flexion, direction, and which of the m values it holds.
+    whole: list[tuple[str, float, str, BoolArray]] = []
     for index, coordinate in enumerate(layout.coordinates):
-        for flexion in np.unique(layout.flexion_deg):
+        for flexion in np.unique(layout.flexion_deg).tolist():
             for direction, trials in layout.sides().items():
                 where = np.zeros(layout.is_measured.shape, dtype=bool)
                 where[:, index] = trials & (layout.flexion_deg == flexion)
                 rows = where[layout.is_measured]
                 if rows.any():
-                    cells.append(
-                        _Cell(
-                            coordinate=coordinate,
-                            flexion_deg=float(flexion),
-                            direction=direction,
-                            rows=rows,
-                        )
-                    )
-    return cells
-
-
-def _seen(
-    cells: Sequence[_Cell], projector: Projector, noise: NoiseModel
-) -> tuple[list[_Cell], Array]:
-    """Cells whose shift the parameters do not explain, and those shifts as columns of length 1."""
-    shifts = noise.whiten(np.stack([x.rows for x in cells], axis=1).astype(np.float64))
+                    whole.append((coordinate, flexion, direction, rows))
+    # Those whose shift the parameters do not explain, and these shifts as columns of length 1.
+    shifts = noise.whiten(np.stack([x[3] for x in whole], axis=1).astype(np.float64))
     columns = projector.project(shifts)
     size = np.linalg.norm(columns, axis=0)
     seen = size > LEAST_LEFT * np.linalg.norm(shifts, axis=0)
-    kept = [cell for cell, is_seen in zip(cells, seen, strict=True) if is_seen]
-    return kept, columns[:, seen] / size[seen]
-
-
-def _p_values(sizes: Array, columns: Array, seed: int) -> Array:
-    """Probability that noise makes the largest score of any cell as large."""
+    cells = [cell for cell, is_seen in zip(whole, seen, strict=True) if is_seen]
+    columns = columns[:, seen] / size[seen]
+    scores = projector.project(residuals) @ columns
+    # Probability that noise makes the largest score of any cell as large.
     _, values, vectors = np.linalg.svd(columns, full_matrices=False)
     draws = np.random.default_rng(seed).standard_normal((N_DRAWS, len(values)))
     largest = np.sort(np.abs(draws @ (values[:, None] * vectors)).max(axis=1))
-    above = N_DRAWS - np.searchsorted(largest, sizes)
-    return np.asarray((above + 1) / (N_DRAWS + 1))
+    above = N_DRAWS - np.searchsorted(largest, np.abs(scores))
+    p_values = np.asarray((above + 1) / (N_DRAWS + 1))
+    found = tuple(
+        CellScore(
+            coordinate=coordinate,
+            flexion_deg=flexion,
+            direction=direction,
+            score=float(score),
+            p_value=float(p_value),
+        )
+        for (coordinate, flexion, direction, _), score, p_value in zip(
+            cells, scores, p_values, strict=True
+        )
+    )
+    region = _region(found, layout)
+    rows = np.zeros(len(noise.factor), dtype=bool)
+    for index in region:
+        rows |= cells[index][3]
+    share = _fraction_of_excess(residuals, projector, noise, rows) if region else 0.0
+    return Localisation(cells=found, region=tuple(found[i] for i in region), share=share)
 
 
 def _region(cells: Sequence[CellScore], layout: TrialLayout) -> list[int]:
-    """The connected region of significant cells around the highest score."""
     significant = [i for i, x in enumerate(cells) if x.p_value <= LEVEL]
     if not significant:
         return []

@@ -6,9 +6,8 @@ from typing import Self
 import numpy as np
 import scipy
 
-from identknee.diagnosis.fitting import FittedModel, whitened_problem
+from identknee.diagnosis.fitting import FittedModel, Refit, refit, whitened_problem
 from identknee.diagnosis.misfit import TrialLayout, base_projector
-from identknee.diagnosis.refit import Refit, refit
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
@@ -190,21 +189,20 @@ def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> Line
     Theta need not be the best fit: what a change of it could explain is taken out. If the model
     has a missing line already, the scan is for what might take its place. None where the model has
     no prediction at theta.
-
-    Parameters
-    ----------
-    fitted
-        The model, the data and their noise.
-    theta
-        Where, shape ``(p,)``.
-    lines
-        The lines to score.
     """
     problem = whitened_problem(fitted.model, fitted.laxity, fitted.noise)
     residuals = -problem.residuals(theta)
     if not np.isfinite(residuals).all():
         return None
-    residuals, jacobian = _without_line(fitted, theta, residuals, problem.jacobian(theta))
+    # Without the rows and columns of a line that the model has already.
+    jacobian, names = problem.jacobian(theta), fitted.model.parameters.names
+    kept = [i for i, name in enumerate(names) if not name.startswith(f"{NAME}.")]
+    if len(kept) < len(names):
+        # Its force is proportional to its stiffness, the first of its parameters.
+        stiffness = len(kept)
+        rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
+        residuals = (residuals + jacobian[:, stiffness] * theta[stiffness])[rows]
+        jacobian = jacobian[np.ix_(rows, kept)]
     changes = line_columns(fitted.model, fitted.model.predict_once(theta), lines)
     signatures = fitted.columns(changes.reshape(*changes.shape[:2], -1))
     projector = base_projector(jacobian)
@@ -221,21 +219,6 @@ def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> Line
         amplitudes=(scores / np.sqrt(precision)).reshape(shape),
         signatures=left.reshape(-1, *shape),
     )
-
-
-def _without_line(
-    fitted: FittedModel, theta: Array, residuals: Array, jacobian: Array
-) -> tuple[Array, Array]:
-    """Rows of the residuals and of their Jacobian without those of a line the model has already."""
-    names = fitted.model.parameters.names
-    kept = [i for i, name in enumerate(names) if not name.startswith(f"{NAME}.")]
-    if len(kept) == len(names):
-        return residuals, jacobian
-    # Its force is proportional to its stiffness, the first of its parameters.
-    stiffness = len(kept)
-    rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
-    removed = residuals + jacobian[:, stiffness] * theta[stiffness]
-    return removed[rows], jacobian[np.ix_(rows, kept)]
 
 
 Point = tuple[float, float, float]
@@ -349,13 +332,6 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
     slack strain and both ends free. Lines are then scored again at the best refit, where the
     parameters are nearly right, until that brings nothing new.
 
-    Parameters
-    ----------
-    base
-        The model without a line, fitted.
-    seed
-        Seed of the choice of lines and of the draws behind the p-value.
-
     Raises
     ------
     ValueError
@@ -371,46 +347,33 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
     refits += _refits(base, center, scan_lines(fitted, center, lines))
     if not any(x.fitted.evaluation.is_finite for x in refits):
         return None
-    refits += _refits_of_rescan(base, refits, lines)
+    # Refits of the lines that score best at the best refit so far.
     best = _lowest(refits)
+    for _ in range(MOST_ROUNDS):
+        scan = scan_lines(best.fitted, best.fitted.theta, lines)
+        refits += _refits(base, best.fitted.theta[: best.n_base], scan)
+        before, best = best, _lowest(refits)
+        if best.fitted.deviance > before.fitted.deviance - ENOUGH:
+            break
     last = refit(base, best.causes, [best.fitted.theta], most_steps=FINE_STEPS)
     n_simulations = sum(x.fitted.constrained.n_simulations for x in [*refits, last])
     return _finding(base, first, last, n_simulations, seed)
 
 
-def _refits_of_rescan(base: Refit, refits: list[Refit], lines: CandidateLines) -> list[Refit]:
-    """Refits of the lines that score best at the best refit so far."""
-    added: list[Refit] = []
-    best = _lowest(refits)
-    for _ in range(MOST_ROUNDS):
-        scan = scan_lines(best.fitted, best.fitted.theta, lines)
-        added += _refits(base, best.fitted.theta[: best.n_base], scan)
-        lower = _lowest([best, *added])
-        if lower.fitted.deviance > best.fitted.deviance - ENOUGH:
-            break
-        best = lower
-    return added
-
-
 def _refits(base: Refit, theta: Array, scan: LineScan | None) -> list[Refit]:
-    """Refits from theta with the best lines of a scan."""
-    if scan is None:
-        return []
-    return [_refit(base, theta, x) for x in scan.best(TRIES)]
-
-
-def _refit(base: Refit, theta: Array, line: ScannedLine) -> Refit:
-    knee = base.fitted.model.knee
-    structure = MissingStructure(
-        name=NAME,
-        femoral=knee.femur_frame.to_local(line.femur[None]),
-        tibial=knee.tibia_frame.to_local(line.tibia[None]),
-        stiffness_sd=STIFFNESS_SD,
-        site_sd=SITE_SD,
-    )
-    stiffness = max(line.amplitude, LEAST_STIFFNESS)
-    start = np.r_[theta, stiffness, line.strain_pct, np.zeros(6)]
-    return refit(base, [structure], [start], most_steps=ROUGH_STEPS)
+    knee, found = base.fitted.model.knee, []
+    for line in () if scan is None else scan.best(TRIES):
+        structure = MissingStructure(
+            name=NAME,
+            femoral=knee.femur_frame.to_local(line.femur[None]),
+            tibial=knee.tibia_frame.to_local(line.tibia[None]),
+            stiffness_sd=STIFFNESS_SD,
+            site_sd=SITE_SD,
+        )
+        stiffness = max(line.amplitude, LEAST_STIFFNESS)
+        start = np.r_[theta, stiffness, line.strain_pct, np.zeros(6)]
+        found.append(refit(base, [structure], [start], most_steps=ROUGH_STEPS))
+    return found
 
 
 def _lowest(refits: list[Refit]) -> Refit:
@@ -422,7 +385,15 @@ def _finding(
 ) -> LineFinding:
     """The refit and the scan that led to it, in words of the subject."""
     model, theta, covariance = last.fitted.model, last.fitted.theta, last.covariance()
-    ends, ends_covariance = _ends(model, theta, covariance)
+    # Both ends of the line in the common frame [mm], shape ``(6,)``, and their covariance.
+    lines, knee = model.setting(theta).lines, model.knee
+    turn = np.zeros((6, 6))
+    turn[:3, :3], turn[3:, 3:] = knee.femur_frame.axes.T, knee.tibia_frame.axes.T
+    ends = np.r_[
+        knee.femur_frame.to_common(lines.femoral[-1]),
+        knee.tibia_frame.to_common(lines.tibial[-1]),
+    ]
+    ends_covariance = turn @ covariance[-6:, -6:] @ turn.T
     cloud = np.random.default_rng(seed).multivariate_normal(ends, ends_covariance, N_CLOUD)
     trial, force, slope = _largest_force(model, model.predict_once(theta))
     margin = 1.96 * float(np.sqrt(slope @ covariance @ slope))
@@ -441,18 +412,6 @@ def _finding(
         n_simulations=n_simulations,
         seed=seed,
     )
-
-
-def _ends(model: LaxityModel, theta: Array, covariance: Array) -> tuple[Array, Array]:
-    """Both ends of the line in the common frame [mm], shape ``(6,)``, and their covariance."""
-    lines, knee = model.setting(theta).lines, model.knee
-    turn = np.zeros((6, 6))
-    turn[:3, :3], turn[3:, 3:] = knee.femur_frame.axes.T, knee.tibia_frame.axes.T
-    ends = np.r_[
-        knee.femur_frame.to_common(lines.femoral[-1]),
-        knee.tibia_frame.to_common(lines.tibial[-1]),
-    ]
-    return ends, turn @ covariance[-6:, -6:] @ turn.T
 
 
 def _largest_force(model: LaxityModel, prediction: Prediction) -> tuple[int, float, Array]:

@@ -169,7 +169,15 @@ def estimate_correlation(
     found = []
     for first, second in combinations(range(residuals.shape[1]), 2):
         used = is_measured[:, first] & is_measured[:, second]
-        left = _detrending_projection(used, curves)
+        # The sum over curves of the projections that remove a polynomial, shape ``(n, n)``.
+        left = np.zeros((len(used), len(used)))
+        for curve in curves:
+            on = used[curve.trials]
+            trials, load = curve.trials[on], curve.load[on]
+            degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
+            if degree >= 1:
+                smooth, _ = np.linalg.qr(_powers(load, degree))
+                left[np.ix_(trials, trials)] += np.eye(len(trials)) - smooth @ smooth.T
         if _degrees_of_freedom(left) < LEAST_DEGREES:
             continue
         pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
@@ -225,7 +233,18 @@ def estimate_scale(
     found, degrees = [], 0.0
     for column in range(values.shape[1]):
         used = is_measured[:, column]
-        contrasts = _window_contrasts(used, curves)
+        # Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``.
+        rows = [np.zeros((0, len(used)))]
+        for curve in curves:
+            on = used[curve.trials]
+            trials, load = curve.trials[on], curve.load[on]
+            for start in range(len(trials) - WINDOW + 1):
+                window = slice(start, start + WINDOW)
+                whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
+                row = np.zeros((1, len(used)))
+                row[0, trials[window]] = whole[:, -1]
+                rows.append(row)
+        contrasts = np.concatenate(rows)
         degrees += _degrees_of_freedom(contrasts.T @ contrasts)
         found.append(contrasts @ np.where(used, values[:, column], 0.0))
     degrees *= QUANTILE_EFFICIENCY
@@ -239,34 +258,6 @@ def _degrees_of_freedom(left: Array) -> float:
     """Degrees of freedom of the quadratic form `left`, by its first two moments."""
     squares = float(np.sum(left**2))
     return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
-
-
-def _detrending_projection(used: BoolArray, curves: Sequence[Curve]) -> Array:
-    """The sum over curves of the projections that remove a polynomial, shape ``(n, n)``."""
-    left = np.zeros((len(used), len(used)))
-    for curve in curves:
-        on = used[curve.trials]
-        trials, load = curve.trials[on], curve.load[on]
-        degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
-        if degree >= 1:
-            smooth, _ = np.linalg.qr(_powers(load, degree))
-            left[np.ix_(trials, trials)] += np.eye(len(trials)) - smooth @ smooth.T
-    return left
-
-
-def _window_contrasts(used: BoolArray, curves: Sequence[Curve]) -> Array:
-    """Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``."""
-    rows = [np.zeros((0, len(used)))]
-    for curve in curves:
-        on = used[curve.trials]
-        trials, load = curve.trials[on], curve.load[on]
-        for start in range(len(trials) - WINDOW + 1):
-            window = slice(start, start + WINDOW)
-            whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-            row = np.zeros((1, len(used)))
-            row[0, trials[window]] = whole[:, -1]
-            rows.append(row)
-    return np.concatenate(rows)
 
 
 def _powers(load: Array, degree: int) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, unique
+from enum import unique
 from functools import lru_cache
 from itertools import product
 from typing import Literal
@@ -17,6 +17,7 @@ from identknee.diagnosis.misfit import (
 )
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.record import WithSentence
 
 # Signs are dealt with by trying every set of amplitudes that are not zero.
 MOST_SIGNED = 6
@@ -103,7 +104,17 @@ class ProjectedSignature:
         object.__setattr__(self, "covariance", np.linalg.inv(precision))
         solutions = _solutions(precision, self.signature.sign) if self.is_seen else []
         object.__setattr__(self, "_solutions", solutions)
-        roots, z_scores = self._tabulate() if self.is_seen else (np.zeros(1), np.zeros(1))
+        # Roots of the gain, and the z-scores as rare.
+        roots, z_scores = np.zeros(1), np.zeros(1)
+        if self.is_seen:
+            weights = [
+                np.maximum(np.linalg.eigvals(inverse @ self.gram[np.ix_(used, used)]).real, 0.0)
+                for used, inverse in solutions
+            ]
+            largest = max(x.max() for x in weights)
+            relative = tuple(tuple((x / largest).tolist()) for x in weights)
+            roots = ROOTS * np.sqrt(largest)
+            z_scores = _z_scores_at_roots(tuple(self._shares()), relative)
         object.__setattr__(self, "_roots", roots)
         object.__setattr__(self, "_z_scores", z_scores)
 
@@ -156,16 +167,6 @@ class ProjectedSignature:
             value = np.einsum("nk,nk->n", found, correlations[:, used])
             wrong = (found * self.signature.sign[used] < 0).any(axis=1)
             yield used, found, np.where(wrong, 0.0, value)
-
-    def _tabulate(self) -> tuple[Array, Array]:
-        """Roots of the gain and the z-scores as rare."""
-        weights = [
-            np.maximum(np.linalg.eigvals(inverse @ self.gram[np.ix_(used, used)]).real, 0.0)
-            for used, inverse in self._solutions
-        ]
-        largest = max(x.max() for x in weights)
-        relative = tuple(tuple((x / largest).tolist()) for x in weights)
-        return ROOTS * np.sqrt(largest), _z_scores_at_roots(tuple(self._shares()), relative)
 
     def _shares(self) -> list[float]:
         """How often each set of free amplitudes is the best one under no effect."""
@@ -340,28 +341,24 @@ class ScoreTest:
         counted = _in_units(residuals[None], self.projector, self.scale)
         z_scores = _z_scores(counted, self.signatures)
         scores = _corrected(_by_name(z_scores, self.signatures), self.trials_factors)[0]
-        found = [
-            self._candidate(self.names[i], float(scores[i]), z_scores[0], residuals)
-            for i in np.argsort(-scores, kind="stable")
-        ]
+        found = []
+        for i in np.argsort(-scores, kind="stable"):
+            own = [k for k, x in enumerate(self.signatures) if x.signature.name == self.names[i]]
+            best = self.signatures[max(own, key=lambda k: z_scores[0, k])]
+            correlations = self.projector.project(residuals)[None] @ best.projected
+            found.append(
+                CandidateScore(
+                    name=self.names[i],
+                    variant=best.signature.variant,
+                    score=float(scores[i]),
+                    p_value=self.p_value(float(scores[i])),
+                    amplitude=frozen(best.amplitude(correlations)[0], None, name="amplitude"),
+                    covariance=frozen(best.covariance, None, None, name="covariance"),
+                    gain=float(best.gain(correlations)[0]),
+                    share_left=best.share_left,
+                )
+            )
         return Scores(candidates=tuple(found), quantile=self.quantile)
-
-    def _candidate(
-        self, name: str, score: float, z_scores: Array, residuals: Array
-    ) -> CandidateScore:
-        own = [i for i, x in enumerate(self.signatures) if x.signature.name == name]
-        best = self.signatures[max(own, key=lambda i: z_scores[i])]
-        correlations = self.projector.project(residuals)[None] @ best.projected
-        return CandidateScore(
-            name=name,
-            variant=best.signature.variant,
-            score=score,
-            p_value=self.p_value(score),
-            amplitude=frozen(best.amplitude(correlations)[0], None, name="amplitude"),
-            covariance=frozen(best.covariance, None, None, name="covariance"),
-            gain=float(best.gain(correlations)[0]),
-            share_left=best.share_left,
-        )
 
 
 def score_test(
@@ -409,7 +406,11 @@ def score_test(
     draws = np.random.default_rng(seed).standard_normal((n_draws, projector.n_rows))
     z_scores = _z_scores(_in_units(draws, projector, scale), projected)
     scores = _by_name(z_scores, projected)
-    factors = _trials_factors(scores, projected)
+    # By how much more often than one z-score the largest of each effect exceeds its quantile.
+    names = [x.signature.name for x in projected]
+    variants = np.array([names.count(x) for x in effect_names(projected)], dtype=np.float64)
+    quantiles = np.quantile(scores, 1 - LEVEL, axis=0)
+    factors = np.clip(LEVEL / np.exp(log_tail_of_z_score(quantiles)), 1.0, variants)
     return ScoreTest(
         projector=projector,
         signatures=projected,
@@ -449,24 +450,14 @@ def _by_name(z_scores: Array, signatures: Sequence[ProjectedSignature]) -> Array
     return np.stack([z_scores[:, names == x].max(axis=1) for x in effect_names(signatures)], axis=1)
 
 
-def _trials_factors(scores: Array, signatures: Sequence[ProjectedSignature]) -> Array:
-    """By how much more often than one z-score the largest of each effect exceeds its quantile."""
-    names = [x.signature.name for x in signatures]
-    variants = np.array([names.count(x) for x in effect_names(signatures)], dtype=np.float64)
-    quantiles = np.quantile(scores, 1 - LEVEL, axis=0)
-    factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))
-    return np.asarray(np.clip(factors, 1.0, variants))
-
-
 def _corrected(scores: Array, trials_factors: Array) -> Array:
     """Z-scores as rare as the largest of so many independent ones, 0 at least."""
-    log_tails = log_tail_of_z_score(scores) + np.log(trials_factors)
-    corrected = z_score_of_log_tail(log_tails)
+    corrected = z_score_of_log_tail(log_tail_of_z_score(scores) + np.log(trials_factors))
     return np.where(corrected < ROUNDED_SCORE, 0.0, corrected)
 
 
 @unique
-class Cell(Enum):
+class Cell(WithSentence):
     """What a score test says of one effect: significant or not, crossed with its power.
 
     References
@@ -475,23 +466,16 @@ class Cell(Enum):
     of misspecifications?, Struct. Equ. Modeling 16 (2009) 561-582, doi:10.1080/10705510903203433.
     """
 
-    MISSPECIFIED = "misspecified"
-    INSPECT = "inspect"
-    EXCLUDED = "excluded"
-    INCONCLUSIVE = "inconclusive"
-
-    @property
-    def sentence(self) -> str:
-        """What that means, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Cell.MISSPECIFIED: "The effect is detected although the power for a relevant size is low.",
-    Cell.INSPECT: "The effect is detected, as small ones would be: its amplitude decides.",
-    Cell.EXCLUDED: "The effect is not detected, and a relevant size would have been.",
-    Cell.INCONCLUSIVE: "The effect is not detected, but a relevant size could have been missed.",
-}
+    MISSPECIFIED = (
+        "misspecified",
+        "The effect is detected although the power for a relevant size is low.",
+    )
+    INSPECT = ("inspect", "The effect is detected, as small ones would be: its amplitude decides.")
+    EXCLUDED = ("excluded", "The effect is not detected, and a relevant size would have been.")
+    INCONCLUSIVE = (
+        "inconclusive",
+        "The effect is not detected, but a relevant size could have been missed.",
+    )
 
 
 def classify_effect(*, is_significant: bool, power: float) -> Cell:
@@ -503,17 +487,7 @@ def classify_effect(*, is_significant: bool, power: float) -> Cell:
 
 
 def detection_power(test: ScoreTest, signature: ProjectedSignature, amplitude: Array) -> float:
-    """Power of the test for the effect, by simulation.
-
-    Parameters
-    ----------
-    test
-        The test: its 5 % quantile is to be exceeded.
-    signature
-        The variant supposed true, one of the test's; the others are not given credit.
-    amplitude
-        Its amplitudes, shape ``(k,)``.
-    """
+    """Power of the test for the effect, by simulation."""
     draws = _noise(signature)
     return _detected_fraction(
         signature, draws + signature.gram @ amplitude, _threshold(test, signature)

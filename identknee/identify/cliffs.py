@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.evaluation import sum_of_squares
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, sum_of_squares
 from identknee.identify.sweep import DISTANCE, distance
 from identknee.runs.arrays import Array, BoolArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived

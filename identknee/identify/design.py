@@ -16,8 +16,14 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.problem import Problem, restricted, with_nuisance_priors, without_priors
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
+from identknee.calibrate.problem import (
+    ParameterQuantity,
+    Problem,
+    Quantity,
+    restricted,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.identify.design_criteria import (
     CRITERIA,
     CandidatePredictions,
@@ -31,7 +37,7 @@ from identknee.identify.design_criteria import (
     paths_of,
     predict_candidates,
 )
-from identknee.identify.nuisances import nuisance_places
+from identknee.identify.optimum import nuisance_places
 from identknee.identify.profile.profile import ProfileSettings, profile_quantities
 from identknee.identify.profile.result import Profile
 from identknee.identify.trial_choice import choose
@@ -171,11 +177,14 @@ def halved_error_features(
     width: WidthLoss, points: CandidatePredictions, parameters: Parameters
 ) -> dict[str, Array]:
     """Features of nuisance parameters with their standard deviations halved, ``(1, f)`` each."""
-    groups = nuisance_places(parameters)
-    return {
-        name: width.features_of_trials(*_as_trial(points, parameters, x))
-        for name, x in groups.items()
-    }
+    found = {}
+    for name, places in nuisance_places(parameters).items():
+        # As a trial that measures them directly, values and derivatives in units of its noise.
+        rows = with_error_measured(parameters.n, places, parameters.prior_sd[places])
+        values, slopes = points.thetas[:, None] @ rows.T, rows * points.scales
+        every = np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
+        found[name] = width.features_of_trials(values, every)
+    return found
 
 
 def mean_narrowing(shares: Array) -> float:
@@ -190,22 +199,7 @@ def mean_narrowing(shares: Array) -> float:
 
 
 def _widths(width: WidthLoss, features: Array) -> Array:
-    """Predicted widths of the targets, shape ``(k, t)``."""
     return np.stack([ends[:, 1] - ends[:, 0] for ends, _ in width.intervals(features)], axis=1)
-
-
-def _as_trial(
-    points: CandidatePredictions, parameters: Parameters, places: list[int]
-) -> tuple[Array, Array]:
-    """The parameters at `places` known better, as a trial that measures them directly.
-
-    Values ``(q, 1, m)`` in units of that measurement's noise, derivatives ``(q, 1, m, n)`` by the
-    scaled parameters.
-    """
-    rows = with_error_measured(parameters.n, places, parameters.prior_sd[places])
-    values = points.thetas[:, None] @ rows.T
-    slopes = rows * points.scales
-    return values, np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,15 +242,7 @@ class MarginalProblem:
 
 
 def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:
-    """The problem of the parameters of interest alone.
-
-    Parameters
-    ----------
-    problem
-        In units of noise, with nuisances.
-    theta
-        Its best fit, shape ``(n,)``.
-    """
+    """The problem of the parameters of interest alone."""
     parameters = problem.parameters
     is_error, data = ~parameters.is_of_interest, without_priors(problem)
     held = np.array(parameters.names)[is_error].tolist()
@@ -568,11 +554,19 @@ def design(
         If `n_trials` is less than 1, the criterion is unknown, all parameters are nuisances, the
         model has no prediction at the best fit, or every candidate is excluded.
     """
-    _check(problem, n_trials, criterion)
+    if n_trials < 1:
+        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
+    if criterion not in CRITERIA:
+        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    if not problem.parameters.is_of_interest.any():
+        raise ValueError("all parameters of interest are fixed; leave at least one free")
     profiles_of = partial(profile_quantities, executor=executor, **settings)
     theta = np.asarray(optimum_theta, dtype=np.float64)
-    shared = _shared(problem, theta, candidates, targets)
-    if shared is not None:
+    # Nuisances are marginalised, unless a target is no parameter.
+    shared: SharedErrors | None = None
+    has_errors = not problem.parameters.is_of_interest.all()
+    if has_errors and all(isinstance(x, ParameterQuantity) for x in targets):
+        shared = shared_errors(problem, theta, candidates)
         asked = shared.problem.parameters
         targets = [ParameterQuantity(parameters=asked, name=x.name) for x in targets]
         theta = theta[problem.parameters.is_of_interest]
@@ -628,25 +622,6 @@ def design(
         after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
     )
-
-
-def _check(problem: Problem, n_trials: int, criterion: Criterion) -> None:
-    if n_trials < 1:
-        raise ValueError(f"the number of trials to add must be at least 1, got {n_trials}")
-    if criterion not in CRITERIA:
-        raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
-    if not problem.parameters.is_of_interest.any():
-        raise ValueError("all parameters of interest are fixed; leave at least one free")
-
-
-def _shared(
-    problem: Problem, theta: Array, candidates: CandidateTrials, targets: Sequence[Quantity]
-) -> SharedErrors | None:
-    """The nuisances marginalised; None without any, or where a target is no parameter."""
-    is_error = ~problem.parameters.is_of_interest
-    if not (is_error.any() and all(isinstance(x, ParameterQuantity) for x in targets)):
-        return None
-    return shared_errors(problem, theta, candidates)
 
 
 def _default_targets(

@@ -6,14 +6,13 @@ sum. A set is then judged without another simulation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
 
-from identknee.calibrate.evaluation import evaluate
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import Quantity
+from identknee.calibrate.problem import Problem, Quantity, evaluate
 from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import Profile
 from identknee.model.parameters import Parameters
@@ -40,7 +39,6 @@ class Loss(Protocol):
 
         The information has shape ``(q, n, n)``.
         """
-        ...
 
     def features_of_trials(self, values: Array, jacobians: Array) -> Array:
         """Features of k trials, shape ``(k, f)``.
@@ -48,11 +46,9 @@ class Loss(Protocol):
         From their predictions at q points in units of the noise, shape ``(q, k, m)``, and the
         derivatives of these by the scaled parameters, ``(q, k, m, n)``.
         """
-        ...
 
     def __call__(self, features: Array) -> Array:
         """The loss of each row of summed features, shape ``(k,)`` from ``(k, f)``."""
-        ...
 
 
 @declared
@@ -61,25 +57,20 @@ class LocalLoss:
 
     What is asked is the covariance of the parameters of interest, nuisances integrated out.
 
-    Attributes
-    ----------
-    criterion
-        ``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; ``"E"``: its
-        largest eigenvalue; ``"c"``: the log variances of the targets, summed.
-    gradients
-        Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``.
-    is_of_interest
-        Which parameters are no nuisances, shape ``(n,)``.
-
     References
     ----------
     A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, with SAS (2007),
     chapter 10, ISBN 978-0-19-929660-6.
     """
 
-    criterion: Criterion
-    gradients: Array
-    is_of_interest: BoolArray
+    criterion: Criterion = entry(
+        '``"D"``: minus the log determinant; ``"A"``: the trace of the covariance; '
+        '``"E"``: its largest eigenvalue; ``"c"``: the log variances of the targets, summed'
+    )
+    gradients: Array = entry(
+        "Gradients of the targets by the scaled parameters at the best fit, shape ``(t, n)``"
+    )
+    is_of_interest: BoolArray = entry("Which parameters are no nuisances, shape ``(n,)``")
 
     def features_of_data(self, information: Array) -> Array:
         """The scaled information at the best fit, shape ``(n n,)``."""
@@ -115,29 +106,23 @@ class LocalLoss:
 
 @declared
 class Path:
-    """The profile of one target as it is before trials are added.
+    """The profile of one target as it is before trials are added."""
 
-    Attributes
-    ----------
-    places
-        Where its s points stand among the points at which trials are predicted, shape ``(s,)``.
-    values, deltas
-        The target there, from low to high, and the rise of the deviance, shape ``(s,)``.
-    across
-        Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, n,
-        n - 1)``.
-    center
-        The target at the best fit.
-    threshold
-        Rise of the deviance that bounds the interval.
-    """
-
-    places: IntArray
-    values: Array
-    deltas: Array
-    across: Array
-    center: float
-    threshold: float
+    places: IntArray = entry(
+        "Where its s points stand among the points at which trials are predicted, shape ``(s,)``"
+    )
+    values: Array = entry(
+        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
+    )
+    deltas: Array = entry(
+        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
+    )
+    across: Array = entry(
+        "Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, "
+        "n, n - 1)``"
+    )
+    center: float = entry("The target at the best fit")
+    threshold: float = entry("Rise of the deviance that bounds the interval")
 
     def ends(self, deltas: Array) -> tuple[Array, BoolArray]:
         """Interval ends for k profiles on the same points, shape ``(k, 2)``, and which are open.
@@ -151,9 +136,18 @@ class Path:
             away = np.concatenate([[0.0], np.abs(self.values[chosen] - self.center)])
             roots = np.sqrt(np.maximum(deltas[:, chosen], 0.0))
             roots = np.hstack([np.zeros((len(deltas), 1)), roots])
-            reach, goes_on = _first_crossing(away, roots, float(np.sqrt(self.threshold)))
+            # How far out each row of roots first reaches the level, and which rows do not.
+            level = float(np.sqrt(self.threshold))
+            above = roots >= (1.0 - END_TOLERANCE) * level
+            goes_on = ~above.any(axis=1)
+            after = np.where(goes_on, len(away) - 1, np.argmax(above, axis=1))
+            rows, before = np.arange(len(roots)), np.maximum(after - 1, 0)
+            rise = roots[rows, after] - roots[rows, before]
+            share = (level - roots[rows, before]) / np.where(rise > 0, rise, 1.0)
+            between = away[before] + share * (away[after] - away[before])
+            beyond = away[-1] * level / np.maximum(roots[:, -1], LEAST_RISE)
             is_open[:, side] = goes_on
-            ends[:, side] = self.center + sign * reach
+            ends[:, side] = self.center + sign * np.where(goes_on, beyond, between)
         return ends, is_open
 
 
@@ -164,14 +158,9 @@ class WidthLoss:
     At every point of a target's profile the deviance of the added trials, at the values they would
     have at the best fit, is added, and the parameters that are free there give way by one linear
     step: an open end may close that a variance at the best fit knows nothing of.
-
-    Attributes
-    ----------
-    paths
-        The profiles of the targets.
     """
 
-    paths: Sequence[Path]
+    paths: Sequence[Path] = entry("The profiles of the targets")
 
     def features_of_data(self, information: Array) -> Array:
         """Each point's curvature across the target, no slope, and the rise of the deviance."""
@@ -226,26 +215,12 @@ def directions_across(gradients: Array) -> Array:
     return np.asarray(np.swapaxes(rows[:, 1:], 1, 2))
 
 
-def _first_crossing(away: Array, roots: Array, level: float) -> tuple[Array, BoolArray]:
-    """How far out each row of roots first reaches the level, and which rows do not."""
-    above = roots >= (1.0 - END_TOLERANCE) * level
-    goes_on: BoolArray = np.asarray(~above.any(axis=1))
-    after = np.where(goes_on, len(away) - 1, np.argmax(above, axis=1))
-    rows, before = np.arange(len(roots)), np.maximum(after - 1, 0)
-    rise = roots[rows, after] - roots[rows, before]
-    share = (level - roots[rows, before]) / np.where(rise > 0, rise, 1.0)
-    between = away[before] + share * (away[after] - away[before])
-    beyond = away[-1] * level / np.maximum(roots[:, -1], LEAST_RISE)
-    return np.where(goes_on, beyond, between), goes_on
-
-
 class CandidateTrials(Protocol):
     """Trials that might be added, as a model predicts them."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the k trials, no two alike."""
-        ...
 
     def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
         """What the chosen trials would measure at `theta`, and its derivatives by theta.
@@ -253,7 +228,6 @@ class CandidateTrials(Protocol):
         In units of the noise, errors independent, shapes ``(k, m)`` and ``(k, m, n)``; NaN in all
         of a trial that has no prediction. A trial may be chosen more than once.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -328,29 +302,24 @@ class Excluded:
 
 @declared
 class CandidatePredictions:
-    """The candidates at the best fit and along the profiles: q points, k trials, n parameters.
+    """The candidates at the best fit and along the profiles: q points, k trials, n parameters."""
 
-    Attributes
-    ----------
-    thetas
-        The points, the first of them the best fit, shape ``(q, n)``.
-    is_likely
-        Which of them the data allow, shape ``(q,)``.
-    values, jacobians
-        What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its
-        derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no prediction.
-    information
-        That of the trials made, for the scaled parameters, shape ``(q, n, n)``.
-    scales
-        One scaled unit of each parameter, shape ``(n,)``.
-    """
-
-    thetas: Array
-    is_likely: BoolArray
-    values: Array
-    jacobians: Array
-    information: Array
-    scales: Array
+    thetas: Array = entry("The points, the first of them the best fit, shape ``(q, n)``")
+    is_likely: BoolArray = entry("Which of them the data allow, shape ``(q,)``")
+    values: Array = entry(
+        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
+        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
+        "prediction"
+    )
+    jacobians: Array = entry(
+        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
+        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
+        "prediction"
+    )
+    information: Array = entry(
+        "That of the trials made, for the scaled parameters, shape ``(q, n, n)``"
+    )
+    scales: Array = entry("One scaled unit of each parameter, shape ``(n,)``")
 
     @property
     def n_simulations(self) -> int:
@@ -391,7 +360,7 @@ def predict_candidates(
     scales = scaled_units(problem.parameters, "typical")
     thetas = np.vstack([before[0].optimum, *(profile.thetas for profile in before)])
     likely = [profile.deltas <= profile.threshold for profile in before]
-    rows = list(executor.map(_PointPrediction(problem=problem, candidates=candidates), thetas))
+    rows = list(executor.map(partial(_at_point, problem, candidates), thetas))
     return CandidatePredictions(
         thetas=thetas,
         is_likely=np.concatenate([[True], *likely]),
@@ -402,19 +371,12 @@ def predict_candidates(
     )
 
 
-@declared
-class _PointPrediction:
+def _at_point(
+    problem: Problem, candidates: CandidateTrials, theta: Array
+) -> tuple[Array, Array, Array]:
     """Information of the trials made and predictions of all candidates at one theta."""
-
-    problem: Problem
-    candidates: CandidateTrials
-
-    def __call__(self, theta: Array) -> tuple[Array, Array, Array]:
-        everything = range(len(self.candidates.names))
-        return (
-            evaluate(self.problem, theta).information,
-            *self.candidates.predict(theta, everything),
-        )
+    predicted = candidates.predict(theta, range(len(candidates.names)))
+    return (evaluate(problem, theta).information, *predicted)
 
 
 def paths_of(

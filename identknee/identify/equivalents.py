@@ -1,26 +1,29 @@
 """Parameter sets that a measurement cannot distinguish, and the ranges over them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from enum import Enum, unique
+from enum import unique
 from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
-from identknee.identify.extremum import (
+from identknee.calibrate.problem import ParameterQuantity, Quantity
+from identknee.identify.region import (
     INSIDE_TOLERANCE,
+    Blocks,
     Extreme,
     ExtremumEnd,
+    Region,
+    RegionView,
     at_bounds,
     extremise,
     farthest_pair,
 )
-from identknee.identify.region import Blocks, Region, RegionView
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
+from identknee.runs.record import WithSentence
 from identknee.runs.store import Store, resumable_map
 
 # A point this close to the limit is on the boundary of the region, for a ray.
@@ -64,7 +67,11 @@ def points_along(view: RegionView, origin: Array, direction: Array, share: float
     if blocks.largest > BOUNDARY and uphill @ direction > 0:
         direction = -direction
     reach = _reach(blocks, direction)
-    longest = _to_bounds(view, origin, direction)
+    # Distance to the bounds along the direction.
+    wall = np.where(direction > 0, view.upper, view.lower)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lengths = (wall - origin) / direction
+    longest = float(np.min(np.where(direction == 0.0, np.inf, lengths)))
     low, high = 0.0, np.inf
     last: Array | None = None
     for _ in range(MOST_TRIALS):
@@ -120,8 +127,7 @@ def farthest_first(points: Array, first: IntArray, n: int, least: float) -> IntA
         if distance[next_one] < least:
             break
         chosen.append(next_one)
-        apart = np.linalg.norm(points - points[next_one], axis=1)
-        distance = np.minimum(distance, apart)
+        distance = np.minimum(distance, np.linalg.norm(points - points[next_one], axis=1))
     return np.array(chosen, dtype=np.int64)
 
 
@@ -134,14 +140,6 @@ def _reach(blocks: Blocks, direction: Array) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         roots = (np.sqrt(half**2 + square * room) - half) / square
     return float(np.min(np.where(square > 0, roots, np.inf)))
-
-
-def _to_bounds(view: RegionView, origin: Array, direction: Array) -> float:
-    """Distance to the bounds along the direction."""
-    wall = np.where(direction > 0, view.upper, view.lower)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lengths = (wall - origin) / direction
-    return float(np.min(np.where(direction == 0.0, np.inf, lengths)))
 
 
 AXES, PAIRS, STARTS = 3, 4, 3
@@ -305,7 +303,13 @@ class RegionSearches:
     def far_pairs(self) -> list[Array]:
         """Initial pairs: points of the pool far apart, each with another first point."""
         points = self.pool
-        partner, apart = _farthest(points / self.steps)
+        # For each point the one farthest from it, and their distance, both shape ``(n,)``.
+        scaled = points / self.steps
+        partner, apart = np.zeros(len(scaled), dtype=np.int64), np.zeros(len(scaled))
+        for start in range(0, len(scaled), BLOCK):
+            some = slice(start, start + BLOCK)
+            block = cdist(scaled[some], scaled)
+            partner[some], apart[some] = block.argmax(axis=1), block.max(axis=1)
         found: list[Array] = []
         used: set[int] = set()
         for i in np.argsort(-apart, kind="stable"):
@@ -406,38 +410,17 @@ def _as_row(extreme: Extreme) -> Row:
     }
 
 
-def _farthest(points: Array) -> tuple[IntArray, Array]:
-    """For each point the one farthest from it, and their distance, both shape ``(n,)``."""
-    partners, apart = [], []
-    for start in range(0, len(points), BLOCK):
-        block = cdist(points[start : start + BLOCK], points)
-        partners.append(block.argmax(axis=1))
-        apart.append(block.max(axis=1))
-    return np.concatenate(partners), np.concatenate(apart)
-
-
 # No two sets closer than this part of the diameter.
 SEPARATION = 0.02
 RAYS_PER_SET, MOST_ROUNDS = 2, 3
 
 
 @unique
-class Completeness(Enum):
+class Completeness(WithSentence):
     """Whether as many sets were found as asked for; the value is the word written to files."""
 
-    COMPLETE = "complete"
-    FEWER = "fewer"
-
-    @property
-    def sentence(self) -> str:
-        """What happened, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Completeness.COMPLETE: "All requested sets were found.",
-    Completeness.FEWER: "The region contains fewer sufficiently different sets than requested.",
-}
+    COMPLETE = ("complete", "All requested sets were found.")
+    FEWER = ("fewer", "The region contains fewer sufficiently different sets than requested.")
 
 
 @declared
@@ -643,8 +626,7 @@ def _spread(searches: RegionSearches, n: int) -> Array:
     """Points of the pool far from one another, the farthest pair first, shape ``(<= n, p)``."""
     diameter, pair = searches.farthest_pair
     points = np.vstack([pair, searches.pool])
-    ends = np.arange(2)
-    chosen = farthest_first(points / searches.steps, ends, n, SEPARATION * diameter)
+    chosen = farthest_first(points / searches.steps, np.arange(2), n, SEPARATION * diameter)
     return np.asarray(points[chosen])
 
 

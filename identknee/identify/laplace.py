@@ -7,7 +7,7 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
 
-from identknee.calibrate.evaluation import Evaluation
+from identknee.calibrate.problem import Evaluation
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 
@@ -82,13 +82,6 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
 
     A bound that cuts off a tail of more than 2.5 % is the end of the interval. Exact where one
     component is cut off at most, else averaged over points of a Sobol sequence.
-
-    Parameters
-    ----------
-    mean, covariance
-        Mean and covariance of the vector, shapes ``(p,)`` and ``(p, p)``.
-    lower, upper
-        Bounds, perhaps infinite, shape ``(p,)``.
     """
     _, cut = _cut(mean, covariance, (lower, upper), LEAST_SHARED)
     shared = _draws(mean, covariance, lower, upper, cut)
@@ -97,7 +90,20 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
         others = shared
         if i in cut:
             others = _draws(mean, covariance, lower, upper, cut[cut != i])
-        rows.append(_interval(i, mean, covariance, (lower[i], upper[i]), others))
+        # Ends of the interval of one component, and which of them are bounds.
+        slope = np.linalg.solve(others.factor, covariance[others.components, i])
+        sd = float(np.sqrt(covariance[i, i] - slope @ slope))
+        middles = mean[i] + others.points @ slope
+        below, above = ((x - middles) / sd for x in (lower[i], upper[i]))
+        weights = np.exp(others.log_weights - others.log_weights.max())
+        weights /= weights.sum()
+        from_low = bool(weights @ np.exp(log_ndtr(below)) > TAIL)
+        to_high = bool(weights @ np.exp(log_ndtr(-above)) > TAIL)
+        mixture = others.log_weights, middles, sd, below, above
+        start = _quantile((2.0 if to_high else 1.0) * TAIL, *mixture)
+        end = _quantile(1.0 - (2.0 if from_low else 1.0) * TAIL, *mixture)
+        ends = (float(lower[i]) if from_low else start, float(upper[i]) if to_high else end)
+        rows.append((*ends, from_low, to_high))
     low, high, is_low, is_high = zip(*rows, strict=True)
     return BoxIntervals(
         lower=np.array(low),
@@ -142,33 +148,9 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     return _Draws(components=cut, factor=factor, points=drawn, log_weights=weights)
 
 
-def _interval(
-    i: int, mean: Array, covariance: Array, bounds: tuple[float, float], others: _Draws
-) -> tuple[float, float, bool, bool]:
-    """Ends of the interval of one component, and which of them are bounds."""
-    slope = np.linalg.solve(others.factor, covariance[others.components, i])
-    sd = float(np.sqrt(covariance[i, i] - slope @ slope))
-    middles = mean[i] + others.points @ slope
-    low, high = ((x - middles) / sd for x in bounds)
-    weights = np.exp(others.log_weights - others.log_weights.max())
-    weights /= weights.sum()
-    from_low = bool(weights @ np.exp(log_ndtr(low)) > TAIL)
-    to_high = bool(weights @ np.exp(log_ndtr(-high)) > TAIL)
-    mixture = others.log_weights, middles, sd, low, high
-    start = _quantile((2.0 if to_high else 1.0) * TAIL, *mixture)
-    end = _quantile(1.0 - (2.0 if from_low else 1.0) * TAIL, *mixture)
-    return (
-        float(bounds[0]) if from_low else start,
-        float(bounds[1]) if to_high else end,
-        from_low,
-        to_high,
-    )
-
-
 def _quantile(
     share: float, log_weights: Array, middles: Array, sd: float, low: Array, high: Array
 ) -> float:
-    """Quantile of a mixture of truncated normal variables."""
     whole = log_weights + log_interval_mass(low, high)
     # A middle far beyond the bounds has no share within them.
     used = whole > whole.max() - NEGLIGIBLE
@@ -360,6 +342,5 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
 
 
 def _log_where_lognormal(values: Array, is_log: BoolArray) -> Array:
-    """The logarithms where the prior is lognormal."""
     with np.errstate(divide="ignore"):
         return np.where(is_log, np.log(np.where(is_log, values, 1.0)), values)

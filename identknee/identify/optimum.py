@@ -1,12 +1,19 @@
-"""The best fit from which identifiability is analysed."""
+"""The best fit from which identifiability is analysed, the noise it leaves, its nuisances."""
 
 import numpy as np
 import scipy
 
 from identknee.calibrate.fit import Fit, fit, fit_many
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import (
+    RANK_TOLERANCE,
+    Problem,
+    WhitenedResiduals,
+    evaluate,
+    with_nuisance_priors,
+)
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 
@@ -90,21 +97,7 @@ def check_within_bounds(theta: Array, parameters: Parameters) -> None:
 def sobol_around(
     parameters: Parameters, center: Array, n: int, *, reach: float, seed: int
 ) -> Array:
-    """Sobol points around a center, within the bounds, shape ``(n, p)``; nuisances stay there.
-
-    Parameters
-    ----------
-    parameters
-        For the bounds and the priors.
-    center
-        Shape ``(p,)``.
-    n
-        Number of points.
-    reach
-        How far they lie at most, in prior standard deviations.
-    seed
-        Seed of the scrambling.
-    """
+    """Sobol points around a center, within the bounds, shape ``(n, p)``; nuisances stay there."""
     # Sobol points are balanced in powers of two only; the rest of such a set is left out.
     drawn = scipy.stats.qmc.Sobol(parameters.n, seed=seed).random_base2(int(np.ceil(np.log2(n))))[
         :n
@@ -112,3 +105,205 @@ def sobol_around(
     steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0) * parameters.is_of_interest
     points = np.where(parameters.is_log, center * np.exp(steps), center + steps)
     return np.asarray(np.clip(points, parameters.lower, parameters.upper))
+
+
+TOLERANCE = 1e-10
+MAX_ROUNDS = 50
+# Largest residual that cannot be told from rounding.
+SMALLEST_SD = 1e-9
+
+
+@declared
+class EstimatedNoise:
+    """A problem with the noise estimated from its residuals."""
+
+    problem: Problem = entry("The problem, its residuals in units of that noise")
+    sds: Array = array("Standard deviation of each group, in the units of the data", "group")
+    degrees_of_freedom: int = entry(
+        "Residuals less parameters they determine: the denominator of an F threshold"
+    )
+    theta: Array = array("The best fit", "parameter")
+
+
+def with_estimated_noise(problem: Problem, groups: IntArray, start: Array) -> EstimatedNoise:
+    """The problem in units of its noise, estimated from the residuals of the best fit.
+
+    The weighted fit and the standard deviations are repeated until neither changes. Each group's
+    variance is its sum of squares over its own degrees of freedom: its residuals less its share of
+    the fitted parameters, which is the trace of its block of the projection on the Jacobian.
+
+    Parameters
+    ----------
+    problem
+        Problem whose residuals are in the units of the data.
+    groups
+        The group of each residual, 0 to k - 1, shape ``(m,)``.
+    start
+        Where the fit begins, shape ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If a group has no more residuals than the parameters it determines, if the fit leaves
+        nothing to estimate a noise from, or if the model has no prediction at the start.
+
+    References
+    ----------
+    H. D. Patterson and R. Thompson, Recovery of inter-block information when block sizes are
+    unequal, Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545.
+    """
+    sizes = np.bincount(groups)
+    sds = np.ones(len(sizes))
+    theta = np.asarray(start, dtype=np.float64)
+    for _ in range(MAX_ROUNDS):
+        scaled = with_nuisance_priors(WhitenedResiduals(problem=problem, sd=sds[groups]))
+        best = fit(scaled, theta)
+        if not np.isfinite(best.objective):
+            raise ValueError(
+                "the noise cannot be estimated because the model has no prediction at the start; "
+                "start elsewhere with --start, or see: identknee subject check"
+            )
+        theta = best.theta
+        # How many parameters each group determines, shape ``(k,)``. Rows of priors follow those of
+        # the groups: what they determine the data do not.
+        left, size, _ = np.linalg.svd(scaled.jacobian(theta), full_matrices=False)
+        rank = int(np.sum(size > size[0] * RANK_TOLERANCE))
+        leverage = np.sum(left[:, :rank] ** 2, axis=1)
+        shares = np.bincount(groups, weights=leverage[: len(groups)]).astype(np.float64)
+
+        degrees = sizes - shares
+        if np.any(degrees < 1.0):
+            raise ValueError(
+                "there are too few measured values to estimate their noise beside the parameters; "
+                "state it in the columns sd_<coordinate> or with --noise, for example "
+                "--noise 0.5mm,0.5deg, measure more or fix parameters"
+            )
+        new = np.sqrt(np.bincount(groups, weights=problem.residuals(theta) ** 2) / degrees)
+        if np.any(new < SMALLEST_SD):
+            raise ValueError(
+                "the model fits the data exactly, so there is no noise to estimate; state it in "
+                "the columns sd_<coordinate> or with --noise, for example --noise 0.5mm,0.5deg"
+            )
+
+        settled = bool(np.all(np.abs(new - sds) <= TOLERANCE * new))
+        sds = new
+        if settled:
+            break
+    return EstimatedNoise(
+        problem=with_nuisance_priors(WhitenedResiduals(problem=problem, sd=sds[groups])),
+        sds=sds,
+        degrees_of_freedom=round(float(sizes.sum() - shares.sum())),
+        theta=theta,
+    )
+
+
+# Share of its prior variance that the data must take from a combination of nuisances to speak of
+# it: what they hardly see has no scatter of its own.
+LEAST_SEEN = 1e-6
+OF_NUISANCE = "mm, deg or a plain number, as its name says"
+
+
+@declared
+class NuisanceEstimate:
+    """A nuisance at the best fit."""
+
+    name: str = entry("Name of the nuisance, whose last word is the unit")
+    value: float = entry("Value at the best fit", unit=OF_NUISANCE)
+    sd: float = entry(
+        "Standard deviation that data and prior leave, to first order", unit=OF_NUISANCE
+    )
+    prior_sd: float = entry("Standard deviation of the prior", unit=OF_NUISANCE)
+    center: float = entry("Middle of the prior", unit=OF_NUISANCE)
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the estimate; near zero if the data hardly depend on it."""
+        return float(np.sqrt(max(self.prior_sd**2 - self.sd**2, 0.0)))
+
+    @property
+    def away(self) -> float:
+        """Distance from the prior mean in prior standard deviations."""
+        return (self.value - self.center) / self.prior_sd
+
+
+@declared
+class NuisanceGroup:
+    """Nuisances of one kind and place together."""
+
+    name: str = entry("What they have in common, such as insertion.ACL_femur")
+    n: int = entry("How many there are", unit="1")
+    p_value: float = entry("Probability that errors with the stated prior lie so far out", unit="1")
+
+
+def nuisance_estimates(problem: Problem, theta: Array) -> tuple[NuisanceEstimate, ...]:
+    """The nuisances of a problem at its best fit, in the order of theta; empty without any."""
+    p = problem.parameters
+    places = np.flatnonzero(~p.is_of_interest)
+    if not places.size:
+        return ()
+    sds = np.sqrt(np.diag(_covariance(problem, theta)))
+    return tuple(
+        NuisanceEstimate(
+            name=p.names[i],
+            value=float(theta[i]),
+            sd=float(min(sds[i], p.prior_sd[i])),
+            prior_sd=float(p.prior_sd[i]),
+            center=float(p.center[i]),
+        )
+        for i in places
+    )
+
+
+def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]:
+    """How improbable the nuisances of each kind and place are under their prior.
+
+    Estimates scatter by what the data have taken from the variance of the prior. Parameters as in
+    `nuisance_estimates`.
+    """
+    # Loaded late: it takes longer than a simulation.
+    from scipy.special import chdtrc
+
+    p = problem.parameters
+    covariance = _covariance(problem, theta)
+    made = []
+    for name, places in nuisance_places(p).items():
+        sd = p.prior_sd[places]
+        away = (theta[places] - p.center[places]) / sd
+        scatter = np.eye(len(places)) - covariance[np.ix_(places, places)] / np.outer(sd, sd)
+        size, directions = np.linalg.eigh(scatter)
+        seen = size > LEAST_SEEN
+        square = float(np.sum((directions[:, seen].T @ away) ** 2 / size[seen]))
+        n = int(seen.sum())
+        p_value = float(chdtrc(n, square)) if n else 1.0
+        made.append(NuisanceGroup(name=name, n=len(places), p_value=p_value))
+    return tuple(made)
+
+
+def nuisance_places(parameters: Parameters) -> dict[str, list[int]]:
+    """Places in theta of the nuisances of each kind and place, by the name of their group."""
+    groups: dict[str, list[int]] = {}
+    for i in np.flatnonzero(~parameters.is_of_interest).tolist():
+        groups.setdefault(group_name(parameters.names[i]), []).append(i)
+    return groups
+
+
+def group_name(name: str) -> str:
+    """Kind and place of a nuisance: its name without axis and unit.
+
+    Examples
+    --------
+    >>> group_name("insertion.ACL_femur_x_mm"), group_name("load_axes.x_deg")
+    ('insertion.ACL_femur', 'load_axes')
+    """
+    kind, _, rest = name.partition(".")
+    words = rest.split("_")
+    return f"{kind}.{'_'.join(words[:-2])}" if len(words) > 2 else kind
+
+
+def _covariance(problem: Problem, theta: Array) -> Array:
+    """First-order covariance of all parameters, without undetermined directions."""
+    jacobian = evaluate(problem, theta).jacobian
+    p = problem.parameters
+    scaled = jacobian * p.prior_sd_in_own_units
+    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    return np.asarray(inverse * np.outer(p.prior_sd_in_own_units, p.prior_sd_in_own_units))

@@ -20,7 +20,7 @@ from identknee.identify.sensitivity_estimators import (
     sobol_indices,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
@@ -63,15 +63,7 @@ class Box:
 
 
 def box_around(parameters: Parameters, center: Array) -> Box:
-    """The usual box: stiffness +-50 %, reference strain +-3 %, other parameters +-1.5 prior sd.
-
-    Parameters
-    ----------
-    parameters
-        For names, bounds and priors; the box stays within the bounds.
-    center
-        Its middle, shape ``(n,)``.
-    """
+    """The usual box: stiffness +-50 %, reference strain +-3 %, other parameters +-1.5 prior sd."""
     sd = np.where(parameters.is_log, parameters.prior_sd * np.abs(center), parameters.prior_sd)
     reach = values_by_unit(parameters, STIFFNESS_SHARE * np.abs(center), STRAIN_PCT, PRIOR_SDS * sd)
     return Box(
@@ -85,15 +77,6 @@ def saltelli_blocks(box: Box, n: int, seed: int) -> Array:
 
     A block is a point A, then p points with one coordinate each taken from a second point B, then
     B itself. The first blocks stay the same when n grows, so that more can be added.
-
-    Parameters
-    ----------
-    box
-        Where, with p parameters.
-    n
-        Number of blocks, a power of 2.
-    seed
-        Seed of the scrambling.
 
     Raises
     ------
@@ -117,15 +100,6 @@ def saltelli_blocks(box: Box, n: int, seed: int) -> Array:
 
 def morris_trajectories(box: Box, n: int, seed: int) -> Array:
     """Trajectories that change one parameter after the other, shape ``(n, p + 1, p)``.
-
-    Parameters
-    ----------
-    box
-        Where, with p parameters.
-    n
-        Number of trajectories, at least 2.
-    seed
-        Seed of their starts and orders.
 
     Raises
     ------
@@ -178,16 +152,13 @@ class Outputs(Protocol):
     @property
     def parameters(self) -> Parameters:
         """The parameters, in the order of theta."""
-        ...
 
     @property
     def groups(self) -> tuple[str, ...]:
         """The group of each output, shape ``(m,)``; the outputs of a group share their unit."""
-        ...
 
     def evaluate(self, theta: Array) -> Array:
         """The outputs at `theta`, shape ``(m,)``; NaN where one has no prediction."""
-        ...
 
 
 @declared
@@ -367,8 +338,23 @@ def sensitivity(
         of blocks is not a power of 2. Simulations without a prediction are no error.
     """
     points = _points(outputs, over, method, n_samples, seed)
-    values = _simulated(outputs, points, method, executor, store)
-    names, groups = _group_numbers(outputs.groups)
+    # Outputs at points (n, k, p), shape ``(n, k, m + 1)``, with 1 for a failure in the last.
+    texts = resumable_map(
+        partial(_packed_outputs, outputs),
+        list(points),
+        executor=executor,
+        store=store,
+        name=method if method in DEFAULT_SAMPLES else "draws",
+        description="simulating",
+    )
+    flat = np.frombuffer(b"".join(base64.b64decode(x) for x in texts), dtype="<f8")
+    values = flat.reshape(*points.shape[:2], len(outputs.groups))
+    failed = ~np.isfinite(values).all(axis=2, keepdims=True)
+    values = np.concatenate([np.where(np.isfinite(values), values, np.nan), failed], axis=2)
+    # Names of the groups in order of appearance, and the group of every output and of failure.
+    names = (*dict.fromkeys(outputs.groups), FAILURE)
+    place = {name: i for i, name in enumerate(names)}
+    groups = np.array([*(place[name] for name in outputs.groups), len(names) - 1])
     found: dict[str, Index]
     shares = np.ones(len(names))
     if method == "sobol":
@@ -389,7 +375,10 @@ def sensitivity(
             store=store,
             name=f"{method} of {len(points)} draws",
         )
-    lost = _lost(values, groups)
+    # Whether a simulation lost an output of a group, shape ``(n, k, g)``; any, for failure.
+    missing = np.isnan(values[:, :, :-1])
+    by_group = [missing[:, :, groups[:-1] == g].any(axis=2) for g in range(int(groups.max()))]
+    lost = np.stack([*by_group, values[:, :, -1] > 0], axis=2)
     return Sensitivity(
         method=method,
         parameters=outputs.parameters,
@@ -440,42 +429,10 @@ def _enough(draws: Array) -> Array:
     return draws
 
 
-def _simulated(
-    outputs: Outputs, points: Array, method: str, executor: Executor, store: Store | None
-) -> Array:
-    """Outputs at points (n, k, p), shape ``(n, k, m + 1)``, with 1 for a failure in the last."""
-    texts = resumable_map(
-        partial(_packed_outputs, outputs),
-        list(points),
-        executor=executor,
-        store=store,
-        name=method if method in DEFAULT_SAMPLES else "draws",
-        description="simulating",
-    )
-    flat = np.frombuffer(b"".join(base64.b64decode(x) for x in texts), dtype="<f8")
-    values = flat.reshape(*points.shape[:2], len(outputs.groups))
-    failed = ~np.isfinite(values).all(axis=2, keepdims=True)
-    return np.concatenate([np.where(np.isfinite(values), values, np.nan), failed], axis=2)
-
-
 def _packed_outputs(outputs: Outputs, thetas: Array) -> str:
     """Outputs at each theta as the text of their bytes, a third of the size of their digits."""
     values = np.array([outputs.evaluate(theta) for theta in thetas], dtype="<f8")
     return base64.b64encode(values.tobytes()).decode("ascii")
-
-
-def _group_numbers(groups: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
-    """Names of the groups in order of appearance, and the group of every output and of failure."""
-    names = (*dict.fromkeys(groups), FAILURE)
-    place = {name: i for i, name in enumerate(names)}
-    return names, np.array([*(place[name] for name in groups), len(names) - 1])
-
-
-def _lost(values: Array, groups: IntArray) -> Array:
-    """Whether a simulation lost an output of a group, shape ``(n, k, g)``; any, for failure."""
-    missing = np.isnan(values[:, :, :-1])
-    by_group = [missing[:, :, groups[:-1] == g].any(axis=2) for g in range(int(groups.max()))]
-    return np.stack([*by_group, values[:, :, -1] > 0], axis=2)
 
 
 def _given_indices(

@@ -113,7 +113,12 @@ def sobol_indices(outputs: Array, groups: IntArray, seed: int) -> dict[str, Inde
     Statistics 8 (2014) 575-603, doi:10.1214/14-EJS895.
     """
     known: BoolArray = np.asarray(np.isfinite(outputs))
-    centred, floor = _centred(outputs, known)
+    # Outputs less their mean, 0 where unknown, and the variance of each that is rounding.
+    ends, seen = outputs[:, [0, -1]], known[:, [0, -1]]
+    count = np.maximum(seen.sum(axis=(0, 1)), 1)
+    mean = np.where(seen, ends, 0.0).sum(axis=(0, 1)) / count
+    size = np.abs(np.where(known, outputs, 0.0)).max(axis=(0, 1))
+    centred, floor = np.where(known, outputs - mean, 0.0), (ROUNDING * size) ** 2
     member = _membership(groups)
     # Not even the main rule can say anything about an output that is never there.
     everything = np.broadcast_to(known.any(axis=(0, 1)), outputs.shape[::2]).astype(float)
@@ -150,7 +155,15 @@ def morris_indices(points: Array, outputs: Array, groups: IntArray, seed: int) -
     doi:10.1016/j.envsoft.2006.10.004.
     """
     known: BoolArray = np.asarray(np.isfinite(outputs))
-    effects, pairs = _elementary_effects(points, np.where(known, outputs, 0.0), known)
+    # Effects by parameter, shape ``(n, p, m)``, and whether both their ends are known.
+    steps = np.diff(points, axis=1)
+    moved = np.argmax(np.abs(steps), axis=2)
+    sizes = np.take_along_axis(steps, moved[:, :, None], axis=2)
+    change = np.diff(np.where(known, outputs, 0.0), axis=1) / sizes
+    both = known[:, 1:] & known[:, :-1]
+    by_parameter = np.argsort(moved, axis=1)[:, :, None]
+    effects = np.take_along_axis(change * both, by_parameter, axis=1)
+    pairs = np.take_along_axis(both, by_parameter, axis=1)
     whole = np.broadcast_to(np.all(known, axis=1)[:, None, :], pairs.shape).astype(float)
     member = _membership(groups)
 
@@ -248,31 +261,7 @@ def _morris(effects: Array, used: Array, counts: Array, member: Array) -> dict[s
     return {name: np.stack(values, axis=-1) for name, values in found.items()}
 
 
-def _elementary_effects(points: Array, outputs: Array, known: BoolArray) -> tuple[Array, BoolArray]:
-    """Effects by parameter, shape ``(n, p, m)``, and whether both their ends are known."""
-    steps = np.diff(points, axis=1)
-    moved = np.argmax(np.abs(steps), axis=2)
-    sizes = np.take_along_axis(steps, moved[:, :, None], axis=2)
-    change = np.diff(outputs, axis=1) / sizes
-    both = known[:, 1:] & known[:, :-1]
-    by_parameter = np.argsort(moved, axis=1)[:, :, None]
-    return (
-        np.take_along_axis(change * both, by_parameter, axis=1),
-        np.take_along_axis(both, by_parameter, axis=1),
-    )
-
-
-def _centred(outputs: Array, known: BoolArray) -> tuple[Array, Array]:
-    """Outputs less their mean, 0 where unknown, and the variance of each that is rounding."""
-    ends, seen = outputs[:, [0, -1]], known[:, [0, -1]]
-    count = np.maximum(seen.sum(axis=(0, 1)), 1)
-    mean = np.where(seen, ends, 0.0).sum(axis=(0, 1)) / count
-    size = np.abs(np.where(known, outputs, 0.0)).max(axis=(0, 1))
-    return np.where(known, outputs - mean, 0.0), (ROUNDING * size) ** 2
-
-
 def _membership(groups: IntArray) -> Array:
-    """Which output belongs to which group, shape ``(m, k)``."""
     return np.asarray(groups[:, None] == np.arange(int(groups.max()) + 1), dtype=np.float64)
 
 
@@ -429,8 +418,14 @@ def hdmr_index(draws: Array, scores: Array, seed: int) -> dict[str, Array]:
     from SALib.analyze import enhanced_hdmr
 
     p = draws.shape[1]
+    # What SALib wants to know, fresh each time because it writes into it.
+    problem = {
+        "num_vars": p,
+        "names": [f"x{i}" for i in range(p)],
+        "bounds": [[float(x.min()), float(x.max())] for x in draws.T],
+    }
     found = enhanced_hdmr.analyze(
-        _description(draws), draws, scores, bootstrap=1, subset=len(scores), seed=1 + seed
+        problem, draws, scores, bootstrap=1, subset=len(scores), seed=1 + seed
     )
     return {name: np.array(found[name][:p], dtype=np.float64) for name in ("Sa", "Sb", "ST")}
 
@@ -459,13 +454,30 @@ def shapley_index(draws: Array, scores: Array, _seed: int) -> dict[str, Array]:
             f"Shapley effects of {p} parameters need 2^{p} regressions; hold some fixed so that at "
             f'most {MOST_SHAPLEY_PARAMETERS} remain, or use "delta"'
         )
-    explained = _explained_by_subset(draws, scores)
+    # Share of the variance explained by a quadratic function of each subset of parameters.
+    n = len(draws)
+    standard = (draws - draws.mean(axis=0)) / draws.std(axis=0)
+    pairs = [(i, j) for i in range(p) for j in range(i, p)]
+    terms = np.column_stack([standard, *(standard[:, i] * standard[:, j] for i, j in pairs)])
+    terms -= terms.mean(axis=0)
+    centred = scores - scores.mean()
+    total = float(centred @ centred)
+    gram, projected = terms.T @ terms / n, terms.T @ centred / n
+    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
+    owners = [{i} for i in range(p)] + [{i, j} for i, j in pairs]
+    explained: dict[tuple[int, ...], float] = {(): 0.0}
+    for size in range(1, p + 1):
+        for subset in combinations(range(p), size):
+            of = [k for k, owner in enumerate(owners) if owner <= set(subset)]
+            weights = np.linalg.solve(gram[np.ix_(of, of)], projected[of])
+            share = n * float(projected[of] @ weights) / total
+            explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
     effects = np.zeros(p)
     for subset in explained:
         for i in set(range(p)) - set(subset):
             weight = factorial(len(subset)) * factorial(p - len(subset) - 1) / factorial(p)
-            joined = tuple(sorted((*subset, i)))
-            effects[i] += weight * (explained[joined] - explained[subset])
+            joined = explained[tuple(sorted((*subset, i)))]
+            effects[i] += weight * (joined - explained[subset])
     return {"shapley": effects}
 
 
@@ -519,38 +531,6 @@ def _delta_of_binary_output(column: Array, scores: Array, edges: Array) -> float
     high = np.bincount(classes, weights=is_high, minlength=len(edges) - 1)
     apart = np.abs(high / np.maximum(count, 1) - is_high.mean())
     return float(np.sum(count * apart) / len(scores))
-
-
-def _explained_by_subset(draws: Array, scores: Array) -> dict[tuple[int, ...], float]:
-    """Share of the variance explained by a quadratic function of each subset of parameters."""
-    n, p = draws.shape
-    standard = (draws - draws.mean(axis=0)) / draws.std(axis=0)
-    pairs = [(i, j) for i in range(p) for j in range(i, p)]
-    terms = np.column_stack([standard, *(standard[:, i] * standard[:, j] for i, j in pairs)])
-    terms -= terms.mean(axis=0)
-    centred = scores - scores.mean()
-    total = float(centred @ centred)
-    gram, projected = terms.T @ terms / n, terms.T @ centred / n
-    gram[np.diag_indices_from(gram)] *= 1.0 + RIDGE
-    owners = [{i} for i in range(p)] + [{i, j} for i, j in pairs]
-    explained: dict[tuple[int, ...], float] = {(): 0.0}
-    for size in range(1, p + 1):
-        for subset in combinations(range(p), size):
-            of = [k for k, owner in enumerate(owners) if owner <= set(subset)]
-            weights = np.linalg.solve(gram[np.ix_(of, of)], projected[of])
-            share = n * float(projected[of] @ weights) / total
-            explained[subset] = 1.0 - (1.0 - share) * (n - 1) / (n - 1 - len(of))
-    return explained
-
-
-def _description(draws: Array) -> dict[str, object]:
-    """What SALib wants to know, fresh each time because it writes into it."""
-    p = draws.shape[1]
-    return {
-        "num_vars": p,
-        "names": [f"x{i}" for i in range(p)],
-        "bounds": [[float(x.min()), float(x.max())] for x in draws.T],
-    }
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import load_start
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.model.laxity_model import model_for_tests
 from identknee.report.notebook import result_of

@@ -8,9 +8,9 @@ from math import inf, isinf, sqrt
 
 import numpy as np
 
-from identknee.checks.fit_warnings import ALIKE
+from identknee.checks.fit_checks import ALIKE
 from identknee.diagnosis.verdict import Verdict
-from identknee.identify.basins import WITHIN
+from identknee.identify.sweep import WITHIN
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
@@ -298,7 +298,7 @@ def _alike(fits: Mapping[str, Calibration]) -> str:
 
 
 def _end(fit: Calibration) -> str:
-    return ENDED.get(fit.outcome, fit.outcome.value)
+    return ENDED.get(fit.outcome, str(fit.outcome.value))
 
 
 def _method(fit: Calibration) -> str:

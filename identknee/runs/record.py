@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum, unique
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Self
 
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import plain
@@ -105,42 +105,41 @@ def versions() -> dict[str, str]:
     return found
 
 
-@unique
-class Outcome(Enum):
-    """How an equilibrium, a trial or a fit ended.
+class WithSentence(Enum):
+    """A word for files, and `sentence`, which says it to a person."""
 
-    The value is the word written to files; `sentence` says it to a person.
-    """
+    _value_: str
+    sentence: str
+
+    def __new__(cls, word: str, sentence: str = "") -> Self:
+        """The member of a word."""
+        member = object.__new__(cls)
+        member._value_, member.sentence = word, sentence
+        return member
+
+
+@unique
+class Outcome(WithSentence):
+    """How an equilibrium, a trial or a fit ended."""
 
     # Equilibria and trials.
-    CONVERGED = "converged"
-    FOLD = "fold"
-    NO_EQUILIBRIUM = "no_equilibrium"
-    UNCONSTRAINED = "unconstrained"
+    CONVERGED = ("converged", "A stable equilibrium was found on the branch that starts unloaded.")
+    FOLD = ("fold", "No stable pose at full load: the simulated knee jumps before reaching it.")
+    NO_EQUILIBRIUM = (
+        "no_equilibrium",
+        "No equilibrium was found near the pose where the search began.",
+    )
+    UNCONSTRAINED = (
+        "unconstrained",
+        (
+            "One direction of motion has no stiffness: the pose is not unique. Is a ligament "
+            "missing or slack?"
+        ),
+    )
     # Fits.
-    MINIMUM = "minimum"
-    VALLEY = "valley"
-    CLIFF = "cliff"
-    BUDGET = "budget"
-    SPREAD = "spread"
-    START_FAILED = "start_failed"
-
-    @property
-    def sentence(self) -> str:
-        """What happened, as a full sentence."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
-    Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
-    Outcome.NO_EQUILIBRIUM: "No equilibrium was found near the pose where the search began.",
-    Outcome.UNCONSTRAINED: "One direction of motion has no stiffness: the pose is not unique. Is "
-    "a ligament missing or slack?",
-    Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
-    Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
-    Outcome.CLIFF: "The search stopped at a cliff, beyond which the simulated knee jumps.",
-    Outcome.BUDGET: "The budget of simulations was exhausted.",
-    Outcome.SPREAD: "The spread of the population fell below the tolerance.",
-    Outcome.START_FAILED: "The model has no prediction at the start.",
-}
+    MINIMUM = ("minimum", "Exact derivatives confirm a local minimum.")
+    VALLEY = ("valley", "The optimizer stopped in a valley before a minimum was reached.")
+    CLIFF = ("cliff", "The search stopped at a cliff, beyond which the simulated knee jumps.")
+    BUDGET = ("budget", "The budget of simulations was exhausted.")
+    SPREAD = ("spread", "The spread of the population fell below the tolerance.")
+    START_FAILED = ("start_failed", "The model has no prediction at the start.")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from identknee.identify.nuisances import NuisanceEstimate
+from identknee.identify.optimum import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record

@@ -9,9 +9,8 @@ from typing import Annotated, TypeVar, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.fit import Fit, fit_many
+from identknee.calibrate.fit import Fit, fit_many, load_start
 from identknee.calibrate.problem import Problem
-from identknee.calibrate.starts import load_start
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile

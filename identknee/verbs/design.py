@@ -6,13 +6,18 @@ from typing import Annotated, Any, Unpack
 
 import numpy as np
 
-from identknee.calibrate.problem import Problem, WhitenedResiduals
-from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
+from identknee.calibrate.problem import (
+    ParameterQuantity,
+    Problem,
+    Quantity,
+    RestrictedQuantity,
+    WhitenedResiduals,
+)
 from identknee.checks.usable_trials import candidate_path_findings
 from identknee.identify.design import ChosenTrials, linearised
 from identknee.identify.design import design as choose_trials
 from identknee.identify.design_criteria import CandidateTrials, Criterion
-from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
+from identknee.identify.profile.result import chi2_threshold, f_threshold
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors

@@ -7,17 +7,16 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from identknee.checks.contradicted_trials import end_point_findings
-from identknee.checks.conventions import convention_findings
+from identknee.checks.table_checks import convention_findings, end_point_findings
 from identknee.checks.usable_trials import (
     candidate_path_findings,
     excluded_trial_findings,
     knee_with_equilibria,
 )
 from identknee.diagnosis.data_noise import noise_of
+from identknee.diagnosis.fitting import Refit, Rival, RivalState
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.missing_line import LineEnds, LineFinding
-from identknee.diagnosis.refit import Refit, Rival, RivalState
 from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
 from identknee.laxity.protocol import Protocol, zero_of_added_trials
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from identknee.checks.contradicted_trials import (
+from identknee.checks.fit_checks import implausible_findings
+from identknee.checks.subject_checks import rim_findings
+from identknee.checks.table_checks import (
     SuspiciousRow,
     leave_one_out,
     suspicious_end_points,
@@ -14,12 +16,10 @@ from identknee.checks.contradicted_trials import (
     trial_findings,
     without_rows,
 )
-from identknee.checks.plausibility import implausible_findings
-from identknee.checks.subject_checks import rim_findings
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.data_noise import NoiseSource
-from identknee.diagnosis.folds import Rmse
+from identknee.diagnosis.fitting import RivalState
 from identknee.diagnosis.gain import (
     Assessment,
     ElpdDifference,
@@ -27,11 +27,11 @@ from identknee.diagnosis.gain import (
     Gain,
     ParameterChange,
     Process,
+    Rmse,
 )
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.misfit import CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, Pull
-from identknee.diagnosis.refit import RivalState
 from identknee.diagnosis.verdict import Cause, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.table import COORDINATES, Laxity

@@ -6,8 +6,7 @@ from typing import Annotated, Literal, Unpack, get_args
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import restricted, with_bounds
-from identknee.calibrate.quantity import Quantity, RestrictedQuantity
+from identknee.calibrate.problem import Quantity, RestrictedQuantity, restricted, with_bounds
 from identknee.identify.equivalents import EquivalentSets
 from identknee.identify.equivalents import equivalents as equivalent_sets
 from identknee.identify.region import Region, noise_region, power_of_best_test

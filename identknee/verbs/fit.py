@@ -9,15 +9,14 @@ from typing import Annotated, Literal, Unpack, get_args
 import numpy as np
 from scipy.special import stdtrit
 
-from identknee.calibrate.evaluation import evaluate
-from identknee.calibrate.fit import Fit
+from identknee.calibrate.fit import DEGREES, Fit, fit_student, load_start, student_scales
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.starts import load_start
-from identknee.calibrate.student import DEGREES, fit_student, student_scales
-from identknee.checks.all_checks import Fitted, check_fit, check_unfitted
-from identknee.checks.fit_warnings import (
+from identknee.calibrate.problem import Problem, evaluate
+from identknee.checks.fit_checks import (
+    Fitted,
     bound_findings,
+    check_fit,
+    check_unfitted,
     fit_from_alternative_start,
     misfit_findings,
     too_few_findings,
@@ -32,7 +31,7 @@ from identknee.checks.usable_trials import (
     table_model,
     unfitted_findings,
 )
-from identknee.identify.nuisances import nuisance_estimates
+from identknee.identify.optimum import nuisance_estimates
 from identknee.laxity.protocol import ABSOLUTE
 from identknee.laxity.table import (
     COORDINATES,

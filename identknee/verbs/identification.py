@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
     Problem,
     RestrictedProblem,
@@ -14,10 +14,10 @@ from identknee.calibrate.problem import (
     with_bounds,
     with_nuisance_priors,
 )
-from identknee.calibrate.starts import load_start
-from identknee.checks.all_checks import Fitted, check_fit
-from identknee.checks.fit_warnings import (
+from identknee.checks.fit_checks import (
+    Fitted,
     bound_findings,
+    check_fit,
     feasibility_findings,
     misfit_findings,
     nuisance_findings,
@@ -32,10 +32,13 @@ from identknee.checks.usable_trials import (
     table_model,
     trial_names,
 )
-from identknee.identify.noise import EstimatedNoise, with_estimated_noise
-from identknee.identify.nuisances import nuisance_estimates
+from identknee.identify.optimum import (
+    EstimatedNoise,
+    check_within_bounds,
+    nuisance_estimates,
+    with_estimated_noise,
+)
 from identknee.identify.optimum import best_fits as find_best_fits
-from identknee.identify.optimum import check_within_bounds
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters

@@ -2,10 +2,16 @@
 
 from typing import Annotated, Unpack
 
-from identknee.identify.geodesic import Geodesic, geodesics
-from identknee.identify.information import Information, Scaling, scaled_units
+from identknee.identify.information import (
+    Geodesic,
+    Information,
+    Scaling,
+    StructureCheck,
+    check_structure,
+    geodesics,
+    scaled_units,
+)
 from identknee.identify.information import information as fisher_information
-from identknee.identify.structure import StructureCheck, check_structure
 from identknee.runs.declare import declared, derived, entry
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import best_fits, identification

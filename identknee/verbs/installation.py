@@ -14,8 +14,7 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 from typing_extensions import override
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import fit, load_start
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, read_laxity
 from identknee.model.laxity_model import LaxityModel

@@ -7,11 +7,11 @@ from typing import Annotated, Unpack
 import numpy as np
 from typing_extensions import override
 
-from identknee.calibrate.quantity import ParameterQuantity, Quantity, RestrictedQuantity
+from identknee.calibrate.problem import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profile import profile_quantities
-from identknee.identify.profile.result import Profile
-from identknee.identify.profile.thresholds import (
+from identknee.identify.profile.result import (
+    Profile,
     bootstrap_statistics,
     chi2_threshold,
     f_threshold,

@@ -8,11 +8,15 @@ from typing import Annotated, Any, Unpack
 
 import numpy as np
 
-from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, StopRule
 from identknee.identify.posterior.density import InfeasiblePriorMass
-from identknee.identify.posterior.nested import nested_posterior, quantile_differences
-from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
-from identknee.identify.posterior.sample import Ensembles
+from identknee.identify.posterior.posterior import (
+    ConvergenceCheck,
+    Posterior,
+    SampleOutcome,
+    StopRule,
+    prior_sensitivity,
+)
+from identknee.identify.posterior.sample import Ensembles, nested_posterior, quantile_differences
 from identknee.identify.posterior.sample import sample as sampled
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel

@@ -8,7 +8,7 @@ from typing import Annotated, Unpack
 import numpy as np
 import xarray
 
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import load_start
 from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
 from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Unpack, get_args
 
 from typing_extensions import override
 
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import load_start
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.usable_trials import path_findings
 from identknee.laxity.protocol import Protocol

@@ -5,11 +5,17 @@ from functools import partial
 from typing import Annotated, Literal, Unpack
 
 from identknee.calibrate.fit import BUDGET
-from identknee.checks.fit_warnings import start_findings
-from identknee.identify.basins import WITHIN, Survey
-from identknee.identify.basins import survey as surveyed
+from identknee.checks.fit_checks import start_findings
 from identknee.identify.cliffs import CliffMap, map_cliffs
-from identknee.identify.sweep import STARTS_A_TASK, SweepSearches, shell_starts, sobol_starts
+from identknee.identify.sweep import (
+    STARTS_A_TASK,
+    WITHIN,
+    Survey,
+    SweepSearches,
+    shell_starts,
+    sobol_starts,
+)
+from identknee.identify.sweep import survey as surveyed
 from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters

@@ -16,7 +16,7 @@ import numpy as np
 from common.records import Row, begun, parsed_options, rounded, say, working, write_record
 
 import identknee as ik
-from identknee.checks.contradicted_trials import end_point_findings
+from identknee.checks.table_checks import end_point_findings
 from identknee.runs.findings import Severity
 from identknee.verbs.fit import HeldValue
 

@@ -12,8 +12,7 @@ from conformance.case import Case, Formula
 from conformance.construction import plain_parameters
 from conformance.score import conformance_cases
 
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import ParameterQuantity, Problem
 from identknee.runs.arrays import Array
 
 CASES = {case.name: case for case in conformance_cases()}

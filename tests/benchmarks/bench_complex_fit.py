@@ -6,8 +6,7 @@ import time
 from knees import model, noise_free
 from requirement_rows import Row, median_of
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import fit, named_start
 
 SEEDS = range(3)
 STARTS = ("IG1", "IG2", "IG3", "IG4")

@@ -11,7 +11,7 @@ FIT = """
 import json, resource
 from knees import model, noise_free
 from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import named_start
 subject = model("{knee}")
 problem = noise_free(subject)
 fit(problem, named_start("IG4", subject.parameters), method="{method}")

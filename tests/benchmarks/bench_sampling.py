@@ -9,8 +9,7 @@ from problems import sloppy_springs
 from requirement_rows import Measure, Row
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.posterior.convergence import StopRule
-from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.posterior import Posterior, StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
 
 MOVES = ("stretch", "difference", "newton")

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import Quantity
+from identknee.calibrate.problem import Problem, Quantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 

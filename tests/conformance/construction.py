@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from conformance.case import Case, Formula, Intervals
-from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
+from identknee.calibrate.problem import ParameterQuantity, UserQuantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 

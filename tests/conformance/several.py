@@ -14,7 +14,7 @@ from conformance.construction import (
     linear,
     plain_parameters,
 )
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import ParameterQuantity
 from identknee.runs.arrays import Array
 
 STRUCTURALLY = {"lower": FLAT, "upper": FLAT, "verdict": "structurally_suspect"}

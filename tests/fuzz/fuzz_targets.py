@@ -28,7 +28,7 @@ from osim_files import write_model
 from small_knee import small_knee, small_protocol
 
 from identknee.blind.truth import Truth, read_truth, write_truth
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import load_start
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise, read_laxity, write_laxity
 from identknee.model.effects.library import effects_of

@@ -383,7 +383,7 @@ MECHANICS = (
         "tests/unit/verbs/test_fitted_knee.py",
     ),
     fault(
-        "identknee/calibrate/evaluation.py",
+        "identknee/calibrate/problem.py",
         "Curvature.learn",
         "wanted = gradient - before.jacobian.T @ after.residuals",
         "wanted = change",
@@ -391,7 +391,7 @@ MECHANICS = (
         "tests/unit/calibrate/test_curvature.py",
     ),
     fault(
-        "identknee/calibrate/evaluation.py",
+        "identknee/calibrate/problem.py",
         "Curvature.model",
         "sizes = np.abs(values)",
         "sizes = np.maximum(values, 0.0)",
@@ -570,7 +570,7 @@ NUISANCES = (
         _ESTIMATES,
     ),
     fault(
-        "identknee/identify/nuisances.py",
+        "identknee/identify/optimum.py",
         "nuisance_groups",
         "scatter = np.eye(len(places)) - covariance[np.ix_(places, places)] / np.outer(sd, sd)",
         "scatter = np.eye(len(places)) + covariance[np.ix_(places, places)] / np.outer(sd, sd)",
@@ -594,7 +594,7 @@ NUISANCES = (
         "tests/unit/model/test_past_folds.py",
     ),
     fault(
-        "identknee/checks/trial_exclusion.py",
+        "identknee/checks/usable_trials.py",
         "TrialExclusion._contradicts",
         "return bool(cost > scale * chdtri(n_lost, 1.0 - LEVEL))",
         "return bool(cost > 0.0)",
@@ -602,7 +602,7 @@ NUISANCES = (
         "tests/unit/checks/test_trial_exclusion.py",
     ),
     fault(
-        "identknee/checks/trial_exclusion.py",
+        "identknee/checks/usable_trials.py",
         "TrialExclusion._blocking_trials",
         "return (~np.isfinite(rise), at.theta)",
         "return (np.isnan(rise), at.theta)",
@@ -611,7 +611,7 @@ NUISANCES = (
     ),
     fault(
         "identknee/calibrate/least_squares.py",
-        "_Monitored._stop_if_stagnating",
+        "_Monitored.residuals",
         "if self._n_above_goal > self._creeping[0]:\n    raise SearchEnded(Outcome.VALLEY)",
         "if self._n_above_goal < 0:\n    raise SearchEnded(Outcome.VALLEY)",
         "searches creep along kinks until their budget is spent",

@@ -4,7 +4,7 @@ from mutation import fault
 
 SURVIVED = (
     fault(
-        "identknee/identify/posterior/convergence.py",
+        "identknee/identify/posterior/posterior.py",
         "split_rhat",
         "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
         "max(_rhat(values), _rhat(folded))",
@@ -12,7 +12,7 @@ SURVIVED = (
         "tests/unit/identify/test_chains.py::test_rhat_sees_a_shift_of_heavy_tails_because_it_counts_ranks",
     ),
     fault(
-        "identknee/identify/posterior/convergence.py",
+        "identknee/identify/posterior/posterior.py",
         "split_rhat",
         "max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))",
         "_rhat(normal_scores(values))",
@@ -20,7 +20,7 @@ SURVIVED = (
         "tests/unit/identify/test_chains.py::test_rhat_sees_heavy_tails_that_are_wider_by_folded_ranks",
     ),
     fault(
-        "identknee/identify/basins.py",
+        "identknee/identify/sweep.py",
         "",
         "TOLERANCE = 0.01",
         "TOLERANCE = 0.1",
@@ -28,7 +28,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_ends_closer_than_a_fiftieth_of_a_percent_are_one_minimum",
     ),
     fault(
-        "identknee/identify/basins.py",
+        "identknee/identify/sweep.py",
         "",
         "TOLERANCE = 0.01",
         "TOLERANCE = 0.001",
@@ -36,7 +36,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_ends_closer_than_a_fiftieth_of_a_percent_are_one_minimum",
     ),
     fault(
-        "identknee/identify/basins.py",
+        "identknee/identify/sweep.py",
         "",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 2e-09)",
         "BARRIER_SHARE, BARRIER_FLOOR = (0.01, 2e-09)",
@@ -44,7 +44,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_a_rise_of_a_thousandth_is_a_barrier_and_rounding_is_none",
     ),
     fault(
-        "identknee/identify/basins.py",
+        "identknee/identify/sweep.py",
         "",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 2e-09)",
         "BARRIER_SHARE, BARRIER_FLOOR = (1e-06, 0.0001)",
@@ -52,7 +52,7 @@ SURVIVED = (
         "tests/unit/identify/test_basins.py::test_a_rise_of_a_thousandth_is_a_barrier_and_rounding_is_none",
     ),
     fault(
-        "identknee/identify/profile/thresholds.py",
+        "identknee/identify/profile/result.py",
         "f_threshold",
         "return n_quantities * float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
         "return float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
@@ -60,7 +60,7 @@ SURVIVED = (
         "tests/unit/identify/test_thresholds.py::test_two_quantities_at_once_have_twice_the_quantile_of_f",
     ),
     fault(
-        "identknee/identify/profile/thresholds.py",
+        "identknee/identify/profile/result.py",
         "f_threshold",
         "return n_quantities * float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))",
         "return n_quantities * float(scipy.stats.f.ppf(level, 1, degrees_of_freedom))",
@@ -68,7 +68,7 @@ SURVIVED = (
         "tests/unit/identify/test_thresholds.py::test_two_quantities_at_once_have_twice_the_quantile_of_f",
     ),
     fault(
-        "identknee/identify/profile/thresholds.py",
+        "identknee/identify/profile/result.py",
         "threshold_below",
         "law = scipy.stats.chi2(n_quantities)",
         "law = scipy.stats.chi2(1)",
@@ -93,7 +93,7 @@ SURVIVED = (
     ),
     fault(
         "identknee/diagnosis/misfit.py",
-        "_p_values",
+        "localise",
         "(above + 1) / (N_DRAWS + 1)",
         "above / N_DRAWS",
         "a simulated probability is zero",
@@ -150,7 +150,7 @@ SURVIVED = (
 )
 IDENTIFICATION = (
     fault(
-        "identknee/identify/profile/thresholds.py",
+        "identknee/identify/profile/result.py",
         "chi2_threshold",
         "return float(scipy.stats.chi2.ppf(level, n_quantities))",
         "return float(scipy.stats.chi2.ppf(level, 1))",
@@ -158,8 +158,8 @@ IDENTIFICATION = (
         "tests/unit/identify/test_thresholds.py::test_one_quantity_and_two",
     ),
     fault(
-        "identknee/identify/profile/thresholds.py",
-        "_ranks",
+        "identknee/identify/profile/result.py",
+        "BootstrapStatistics.thresholds",
         "places = (np.ceil(n * level) - 1, law.ppf(tail) - 1, law.ppf(1.0 - tail))",
         "places = (np.ceil(n * level) - 3, law.ppf(tail) - 1, law.ppf(1.0 - tail))",
         "simulated thresholds are the third lower statistic",
@@ -191,7 +191,7 @@ IDENTIFICATION = (
     ),
     fault(
         "identknee/identify/posterior/moves.py",
-        "_trajectories",
+        "HamiltonianMove.propose",
         "log_prob - _kinetic(momentum, mass) - before",
         "log_prob - start.log_prob",
         "trajectories are accepted without regard to their momentum",
@@ -206,7 +206,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_moves.py::test_trajectories_follow_the_gradient_in_many_dimensions",
     ),
     fault(
-        "identknee/identify/posterior/surrogate.py",
+        "identknee/identify/posterior/moves.py",
         "SurrogateMove.propose",
         "proposed.log_prob - state.log_prob - growth",
         "proposed.log_prob - state.log_prob",
@@ -214,8 +214,8 @@ IDENTIFICATION = (
         "tests/unit/identify/test_surrogate.py::test_the_sample_is_of_the_exact_posterior",
     ),
     fault(
-        "identknee/identify/posterior/surrogate.py",
-        "_acceptance",
+        "identknee/identify/posterior/moves.py",
+        "trained_surrogate",
         "weights = np.exp(known.min() - known)",
         "weights = np.ones_like(known)",
         "a surrogate that follows nothing is taken for useful",
@@ -254,7 +254,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_posterior.py::test_the_kernel_of_a_linear_problem_is_its_posterior",
     ),
     fault(
-        "identknee/identify/posterior/convergence.py",
+        "identknee/identify/posterior/posterior.py",
         "normal_scores",
         "return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))",
         "return np.asarray(scipy.stats.norm.ppf((ranks - 0.5) / (values.size + 0.25)))",
@@ -263,7 +263,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_chains.py::test_scores_of_ranks_are_those_of_blom",
     ),
     fault(
-        "identknee/identify/posterior/convergence.py",
+        "identknee/identify/posterior/posterior.py",
         "autocorrelation_time",
         "sums = 2.0 * np.cumsum(autocorrelation(values)) - 1.0",
         "sums = np.cumsum(autocorrelation(values))",
@@ -296,9 +296,9 @@ IDENTIFICATION = (
     ),
     fault(
         "identknee/identify/sensitivity_estimators.py",
-        "_elementary_effects",
-        "change = np.diff(outputs, axis=1) / sizes",
-        "change = np.diff(outputs, axis=1) / np.abs(sizes)",
+        "morris_indices",
+        "change = np.diff(np.where(known, outputs, 0.0), axis=1) / sizes",
+        "change = np.diff(np.where(known, outputs, 0.0), axis=1) / np.abs(sizes)",
         "mean elementary effects lose their sign",
         "tests/unit/identify/test_sensitivity_estimators.py",
     ),
@@ -345,7 +345,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_equivalents.py::test_an_ellipsoid_has_its_known_extents_and_diameter",
     ),
     fault(
-        "identknee/identify/geodesic.py",
+        "identknee/identify/information.py",
         "_Walk._geodesic_acceleration",
         "bending = -right.T @ (damped * (left.T @ second))",
         "bending = right.T @ (damped * (left.T @ second))",
@@ -361,7 +361,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_sensitivity.py::test_the_usual_box",
     ),
     fault(
-        "identknee/calibrate/complex.py",
+        "identknee/calibrate/population.py",
         "",
         "REFLECTION = 0.9",
         "REFLECTION = 1.3",
@@ -369,7 +369,7 @@ IDENTIFICATION = (
         "tests/unit/calibrate/test_complex.py",
     ),
     fault(
-        "identknee/calibrate/complex.py",
+        "identknee/calibrate/population.py",
         "Complex._reflect",
         "np.delete(self.population, self._worst, axis=0).mean(axis=0)",
         "self.population.mean(axis=0)",
@@ -500,9 +500,9 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/score.py",
-        "_trials_factors",
-        "factors = LEVEL / np.exp(log_tail_of_z_score(quantiles))",
-        "factors = np.exp(log_tail_of_z_score(quantiles)) / LEVEL",
+        "score_test",
+        "LEVEL / np.exp(log_tail_of_z_score(quantiles))",
+        "np.exp(log_tail_of_z_score(quantiles)) / LEVEL",
         "many sites of one structure are as many chances to be named",
         "tests/unit/diagnosis/test_score.py::test_variants_count_as_the_looks_they_are_worth",
     ),
@@ -533,7 +533,7 @@ DIAGNOSIS = (
 )
 NAMING = (
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "_is_better",
         "return fall > least and new.log_evidence > old.log_evidence + LEAST_GAIN",
         "return fall > least or new.log_evidence > old.log_evidence + LEAST_GAIN",
@@ -541,7 +541,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_first_cause_must_lower_the_misfit_and_gain_evidence",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "",
         "LEAST_FALL, FURTHER_FALL = (9.0, 16.0)",
         "LEAST_FALL, FURTHER_FALL = (9.0, 9.0)",
@@ -549,7 +549,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_further_cause_must_lower_it_by_more",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "",
         "LEAST_FALL, FURTHER_FALL = (9.0, 16.0)",
         "LEAST_FALL, FURTHER_FALL = (4.0, 16.0)",
@@ -557,7 +557,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_first_cause_must_lower_the_misfit_and_gain_evidence",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "backward_elimination",
         "enough = [x for x in simpler if not _is_better(current, x)]",
         "enough = [x for x in simpler if _is_better(current, x)]",
@@ -565,7 +565,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_cause_that_another_made_superfluous_is_left_out",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "Attribution.has_remaining_misfit",
         "return last.at is self.best and last.is_significant",
         "return last.is_significant",
@@ -573,7 +573,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_what_the_best_explanation_explains_is_not_left_unexplained",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "",
         "MOST_CAUSES = 3",
         "MOST_CAUSES = 2",
@@ -581,7 +581,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_no_more_than_three_causes_are_sought",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "_with_flexible_effects",
         "best = max([current, *flexible], key=lambda x: x.log_evidence)",
         "best = min([current, *flexible], key=lambda x: x.log_evidence)",
@@ -589,7 +589,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_an_effect_of_many_amplitudes_wins_by_evidence_alone",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "AttributionStep.is_significant",
         "self.scores.p_value <= (FURTHER_LEVEL if self.at.causes else LEVEL)",
         "self.scores.p_value <= (LEVEL if self.at.causes else FURTHER_LEVEL)",
@@ -597,7 +597,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py::test_a_further_cause_needs_a_rarer_score_than_the_first",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "refit_top_candidates",
         "tuple(sorted(found, key=lambda x: -x.log_evidence))",
         "tuple(sorted(found, key=lambda x: x.log_evidence))",
@@ -605,7 +605,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/attribution.py",
+        "identknee/diagnosis/verdict.py",
         "",
         "LEAST_SCORE = 1.0",
         "LEAST_SCORE = -1.0",
@@ -613,7 +613,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/refit.py",
+        "identknee/diagnosis/fitting.py",
         "rivals_of",
         "Rival(refit=x, log_evidence_deficit=best.log_evidence - x.log_evidence, distance=expected_distance(best, x), score=score, highest=highest)",
         "Rival(refit=x, log_evidence_deficit=x.log_evidence - best.log_evidence, distance=expected_distance(best, x), score=score, highest=highest)",
@@ -621,7 +621,7 @@ NAMING = (
         "tests/unit/diagnosis/test_attribution.py",
     ),
     fault(
-        "identknee/diagnosis/refit.py",
+        "identknee/diagnosis/fitting.py",
         "rivals_of",
         "if set(x.names) != set(best.names):\n    found.setdefault(frozenset(x.names), x)",
         "if x is not best:\n    found.setdefault(frozenset(x.names), x)",

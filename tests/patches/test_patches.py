@@ -66,7 +66,7 @@ ADDITIONS = (
     Addition(
         name="finding",
         most_files=2,
-        code="from identknee.checks.data_checks import angle_findings\n"
+        code="from identknee.checks.table_checks import angle_findings\n"
         "data = ik.example_laxity('s192803').select([0])\n"
         "(found,) = angle_findings(data)\n"
         "assert (found.code, found.values['n_trials']) == ('one-flexion-angle', 1)\n",

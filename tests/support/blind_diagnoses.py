@@ -10,7 +10,7 @@ from knees import knee
 
 from identknee.blind.case import BlindCase, blind_case
 from identknee.blind.scoring import score
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import named_start
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol

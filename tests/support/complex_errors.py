@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from knees import mean_errors, noise_free
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import fit, named_start
 from identknee.laxity.table import laxity_rmse
 from identknee.model.laxity_model import LaxityModel
 

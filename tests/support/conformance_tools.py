@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 from conformance.case import Answer, Case
 
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import ParameterQuantity
 from identknee.runs.arrays import Array
 
 N_STARTS = 16

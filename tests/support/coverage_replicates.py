@@ -8,8 +8,7 @@ import numpy as np
 from knees import model
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import Evaluator, ParameterQuantity
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals

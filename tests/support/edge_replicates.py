@@ -8,7 +8,7 @@ from knees import model
 from narrow_knee import narrow_knee
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.problem import Evaluator
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import load_protocol

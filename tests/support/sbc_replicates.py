@@ -8,8 +8,8 @@ from knees import model
 from scipy.stats import binom
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import prior_draws
+from identknee.identify.posterior.posterior import StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals

@@ -6,7 +6,7 @@ import numpy as np
 from conformance.case import Case, Formula
 from conformance.score import conformance_cases
 
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import ParameterQuantity
 
 # Moved by a shift, a bound one rounding away would be somewhere else.
 SHIFTABLE = {

@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 from identknee.blind.case import CORRELATION, SD, BlindCase, blind_case
 from identknee.blind.conditions import Conditions
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
-from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.problem import Evaluator
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import LigamentForce
 from identknee.runs.arrays import Array

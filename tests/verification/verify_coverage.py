@@ -18,9 +18,8 @@ from scipy.stats import binomtest, chi2
 from work_store import work_store
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.profile.thresholds import bootstrap_statistics, resimulated
+from identknee.calibrate.problem import Evaluator, ParameterQuantity
+from identknee.identify.profile.result import bootstrap_statistics, resimulated
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import Store, resumable_map

@@ -10,8 +10,7 @@ from requirement_rows import Measure, Row, largest_of
 from scipy.spatial.distance import pdist
 
 from identknee.calibrate.bounded_least_squares import solve_constrained
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import Evaluator, ParameterQuantity
 from identknee.identify.equivalents import EquivalentSets, equivalents, longest_axes, points_along
 from identknee.identify.region import Region, RegionView, noise_region
 from identknee.laxity.table import add_noise

@@ -6,8 +6,7 @@ import numpy as np
 from noisy_knees import noisy
 from requirement_rows import Measure, Row
 
-from identknee.identify.posterior.nested import nested_posterior, quantile_differences
-from identknee.identify.posterior.sample import sample
+from identknee.identify.posterior.sample import nested_posterior, quantile_differences, sample
 from identknee.runs.executors import process_pool
 
 KNEES = ("reference",)

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from work_store import work_store
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import ParameterQuantity
 from identknee.identify.profile.profile import profile
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array

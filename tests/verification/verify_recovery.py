@@ -5,8 +5,7 @@ import argparse
 from knees import model, noise_free
 from requirement_rows import Measure, Row
 
-from identknee.calibrate.fit import fit
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import fit, named_start
 
 BAR = 1e-6
 

@@ -9,7 +9,7 @@ from requirement_rows import Measure, Row
 from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
-from identknee.checks.contradicted_trials import contradicted_rows, suspicious_end_points
+from identknee.checks.table_checks import contradicted_rows, suspicious_end_points
 from identknee.laxity.protocol import opposite_pairs
 from identknee.laxity.table import Laxity, example_laxity
 from identknee.model.laxity_model import LaxityModel

@@ -4,8 +4,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 from typing_extensions import override
 
-from identknee.calibrate.evaluation import Evaluation, evaluate
-from identknee.calibrate.problem import Problem, without_priors
+from identknee.calibrate.problem import Evaluation, Problem, evaluate, without_priors
 from identknee.identify.binomial_interval import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
@@ -86,7 +85,9 @@ def inside(theta: Array, parameters: Parameters) -> BoolArray:
 
 def log_prior_working(working: Array, parameters: Parameters) -> Array:
     """Log prior density of working coordinates, shape ``(..., n)``, without regard to bounds."""
-    return np.asarray(np.sum(_log_normal(working, parameters), axis=-1))
+    sd = parameters.prior_sd
+    z = (working - working_center(parameters)) / sd
+    return np.asarray(np.sum(-0.5 * z**2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi), axis=-1))
 
 
 def working_center(parameters: Parameters) -> Array:
@@ -99,8 +100,7 @@ def prior_quantiles(parameters: Parameters, probabilities: Array) -> Array:
     low, high = _working_bounds(parameters)
     center, sd = working_center(parameters), parameters.prior_sd
     first, last = ndtr((low - center) / sd), ndtr((high - center) / sd)
-    working = center + sd * ndtri(first + probabilities * (last - first))
-    theta = parameters.from_working(working)
+    theta = parameters.from_working(center + sd * ndtri(first + probabilities * (last - first)))
     return np.asarray(np.clip(theta, parameters.lower, parameters.upper))
 
 
@@ -181,12 +181,6 @@ def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKerne
     log_density = -0.5 * evaluation.deviance + float(log_prior_working(working, parameters))
     center = working - np.linalg.solve(information, gradient)
     return NewtonKernel(log_density=log_density, center=center, factor=factor)
-
-
-def _log_normal(working: Array, parameters: Parameters) -> Array:
-    sd = parameters.prior_sd
-    z = (working - working_center(parameters)) / sd
-    return np.asarray(-0.5 * z**2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
 
 
 def _working_bounds(parameters: Parameters) -> tuple[Array, Array]:

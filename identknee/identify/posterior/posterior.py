@@ -1,18 +1,399 @@
-"""A sample of the posterior with its convergence diagnostics."""
+"""A sample of the posterior with its convergence diagnostics.
+
+Every function takes the values of one quantity as (ensemble, walker, step), never flattened: draws
+of one walker depend on one another, and only the order of its steps shows how much.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import unique
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
+from scipy.special import ndtr, ndtri
 from typing_extensions import override
 
-from identknee.identify.posterior.convergence import ConvergenceCheck, SampleOutcome, quantile_error
 from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior, log_prior_working
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
-from identknee.runs.record import Record
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import array, declared, entry
+from identknee.runs.record import Record, WithSentence
+
+# The sum over lags ends at the first lag beyond so many autocorrelation times (Sokal).
+WINDOW = 5.0
+TAIL = 0.05
+ONE_SD = 0.15865525393145707
+
+
+def autocorrelation(values: Array) -> Array:
+    """Autocorrelation at every lag, averaged over walkers, shape ``(steps,)``.
+
+    Values are counted from the mean of their ensemble, so that walkers that keep to different
+    places count as correlated.
+
+    Parameters
+    ----------
+    values
+        Shape ``(ensembles, walkers, steps)``.
+    """
+    steps = values.shape[2]
+    centred = values - values.mean(axis=(1, 2), keepdims=True)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * steps, axis=2)) ** 2
+    products = np.fft.irfft(spectrum.sum(axis=(0, 1)), 2 * steps)[:steps]
+    covariance = products / np.arange(steps, 0, -1)
+    if covariance[0] <= 0:
+        return np.ones(steps)
+    return np.asarray(covariance / covariance[0])
+
+
+def autocorrelation_time(values: Array) -> float:
+    """The integrated autocorrelation time in steps.
+
+    At least 1, so that there are never more effective draws than draws; infinite where nothing
+    moves.
+
+    References
+    ----------
+    A. Sokal, Monte Carlo methods in statistical mechanics: foundations and new algorithms, in
+    Functional Integration (1997) 131-192, doi:10.1007/978-1-4899-0319-8_6, for the window.
+    """
+    if np.ptp(values) == 0:
+        return np.inf
+    sums = 2.0 * np.cumsum(autocorrelation(values)) - 1.0
+    is_enough = np.arange(len(sums)) >= WINDOW * sums
+    last = int(np.argmax(is_enough)) if is_enough.any() else len(sums) - 1
+    return max(1.0, float(sums[last]))
+
+
+def effective_draws(values: Array) -> float:
+    """Effective sample size for the mean: all draws over the autocorrelation time."""
+    return float(values.size / autocorrelation_time(values))
+
+
+def normal_scores(values: Array) -> Array:
+    """Normal quantiles of the ranks among all values, same shape."""
+    ranks = scipy.stats.rankdata(values, method="average").reshape(values.shape)
+    return np.asarray(scipy.stats.norm.ppf((ranks - 0.375) / (values.size + 0.25)))
+
+
+def bulk_ess(values: Array) -> Array:
+    """Effective sample size of the bulk (ranks) by ensemble, ``(ensembles,)``; they add up.
+
+    References
+    ----------
+    A. Vehtari et al., Rank-normalization, folding, and localization: an improved R-hat, Bayesian
+    Anal. 16 (2021) 667-718, doi:10.1214/20-BA1221, section 4, with tau in place of chains.
+    """
+    return _by_ensemble(normal_scores(values))
+
+
+def tail_ess(values: Array) -> Array:
+    """Effective sample size of the tails (5 and 95 % quantile), the smaller, by ensemble."""
+    low, high = np.quantile(values, [TAIL, 1.0 - TAIL])
+    return np.minimum(
+        _by_ensemble((values <= low).astype(float)), _by_ensemble((values >= high).astype(float))
+    )
+
+
+def split_rhat(values: Array) -> float:
+    """Rank-normalised split R-hat of the ensembles, of location or of scale, the larger.
+
+    A chain is one half of one ensemble, all its walkers together: walkers of an ensemble are not
+    independent, ensembles are.
+
+    References
+    ----------
+    Vehtari et al. (2021), section 3, doi:10.1214/20-BA1221.
+    """
+    folded = np.abs(values - np.median(values))
+    return max(_rhat(normal_scores(values)), _rhat(normal_scores(folded)))
+
+
+def mean_error(values: Array) -> float:
+    """Monte Carlo standard error of the mean over the standard deviation."""
+    return float(1.0 / np.sqrt(effective_draws(values)))
+
+
+def quantile_error(values: Array, probability: float) -> float:
+    """Monte Carlo standard error of a quantile, in the unit of the values.
+
+    References
+    ----------
+    Vehtari et al. (2021), section 4.4, doi:10.1214/20-BA1221.
+    """
+    quantile = np.quantile(values, probability)
+    draws = effective_draws((values <= quantile).astype(float))
+    if not np.isfinite(draws) or draws <= 0:
+        return np.inf
+    shape = (draws * probability + 1.0, draws * (1.0 - probability) + 1.0)
+    between = scipy.stats.beta.ppf([ONE_SD, 1.0 - ONE_SD], *shape)
+    low, high = np.quantile(values, between)
+    return float(0.5 * (high - low))
+
+
+def _by_ensemble(values: Array) -> Array:
+    return np.array([effective_draws(ensemble[None]) for ensemble in values])
+
+
+def _rhat(values: Array) -> float:
+    half = values.shape[2] // 2
+    if half < 1:
+        return np.inf
+    halves = np.concatenate([values[:, :, :half], values[:, :, -half:]])
+    n = halves.shape[1] * half
+    within = float(np.mean(halves.var(axis=(1, 2), ddof=1)))
+    between = float(np.var(halves.mean(axis=(1, 2)), ddof=1))
+    if within <= 0:
+        return np.inf if between > 0 else 1.0
+    return float(np.sqrt((n - 1) / n + between / within))
+
+
+ACCEPTANCE_HINT = (0.15, 0.5)
+STUCK_ACCEPTANCE = 0.05
+# A walker that has not moved for fewer steps than this may be unlucky.
+STUCK_STEPS = 200
+BURN_IN = 0.2
+
+
+@unique
+class SampleOutcome(WithSentence):
+    """How sampling ended; the value is the word written to files."""
+
+    CONVERGED = ("converged", "Every condition of convergence is met.")
+    BUDGET = ("budget", "The budget of simulations was exhausted before the sample converged.")
+    STUCK = ("stuck", "A walker is stuck, so the sample is not reliable.")
+    START_FAILED = ("start_failed", "The model has no prediction around the places to start from.")
+
+
+@declared
+class StopRule:
+    """Convergence criteria, all to be met before sampling stops, and its budget."""
+
+    autocorrelation_times: float = entry(
+        "Steps after burn-in, in the largest autocorrelation time", unit="1", default=50.0
+    )
+    drift: float = entry(
+        "Largest relative change of an autocorrelation time since the check before; the checks are "
+        "one autocorrelation time apart or more",
+        unit="1",
+        default=0.01,
+    )
+    rhat: float = entry("Largest R-hat between the halves of the ensembles", unit="1", default=1.01)
+    effective_draws: float = entry(
+        "Fewest effective draws, of the bulk and of the tails, over all ensembles",
+        unit="1",
+        default=400.0,
+    )
+    effective_draws_each: float = entry(
+        "Fewest effective draws of one ensemble", unit="1", default=100.0
+    )
+    mean_error: float = entry(
+        "Largest Monte Carlo standard error of a mean, relative to the standard deviation",
+        unit="1",
+        default=0.05,
+    )
+    budget: int = entry(
+        "Simulations after which sampling stops in any case, at the end of a block of steps",
+        unit="1",
+        default=400_000,
+    )
+
+    def __post_init__(self) -> None:
+        if self.budget < 1:
+            raise ValueError(f"the budget must be at least 1 simulation, got {self.budget}")
+
+
+@declared
+class ConvergenceCheck:
+    """Convergence diagnostics after some steps."""
+
+    rule: StopRule = entry("The stop rule")
+    steps: int = entry("Steps of every walker so far, those of burn-in included")
+    burn_in: int = entry("How many of them, at the beginning, are left out of everything")
+    tau: Array = array("Autocorrelation time of each parameter", "parameter", unit="steps")
+    drift: float = entry(
+        "Largest relative change of an autocorrelation time since the check at least one such time "
+        "before; infinite at the first",
+        unit="1",
+    )
+    rhat: Array = array("R-hat of each parameter", "parameter")
+    bulk: Array = array("Effective draws of the bulk", "parameter", "ensemble")
+    tail: Array = array("Effective draws of the tails", "parameter", "ensemble")
+    mean_error: Array = array(
+        "Monte Carlo standard error of each mean over the standard deviation", "parameter"
+    )
+    acceptance: Array = array("Share of the steps in which a walker moved", "ensemble", "walker")
+
+    @property
+    def kept(self) -> int:
+        """Steps after burn-in."""
+        return self.steps - self.burn_in
+
+    @property
+    def conditions(self) -> dict[str, tuple[float, float, bool]]:
+        """By name of the condition: the number, its bar, and whether it is met."""
+        rule = self.rule
+        longest = float(np.max(self.tau))
+        fewest = float(min(self.bulk.sum(axis=1).min(), self.tail.sum(axis=1).min()))
+        fewest_each = float(min(self.bulk.min(), self.tail.min()))
+        at_least = {
+            "steps_per_tau": (self.kept / longest, rule.autocorrelation_times),
+            "effective_draws": (fewest, rule.effective_draws),
+            "effective_draws_each": (fewest_each, rule.effective_draws_each),
+        }
+        at_most = {
+            "tau_drift": (self.drift, rule.drift),
+            "rhat": (float(np.max(self.rhat)), rule.rhat),
+            "mean_error": (float(np.max(self.mean_error)), rule.mean_error),
+        }
+        return {name: (value, bar, value >= bar) for name, (value, bar) in at_least.items()} | {
+            name: (value, bar, value <= bar) for name, (value, bar) in at_most.items()
+        }
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether all conditions are met."""
+        return all(met for _, _, met in self.conditions.values())
+
+    @property
+    def stuck(self) -> BoolArray:
+        """Which walkers moved in fewer than one step in twenty, of 200 or more."""
+        return np.asarray((self.acceptance < STUCK_ACCEPTANCE) & (self.kept >= STUCK_STEPS))
+
+    @override
+    def __str__(self) -> str:
+        """Every condition with its number."""
+        lines = [f"{self.steps} steps of every walker, the first {self.burn_in} left out."]
+        for name, (value, bar, met) in self.conditions.items():
+            sign = ">=" if name in _AT_LEAST else "<="
+            mark = "met" if met else "not met"
+            lines.append(f"{_WORDS[name]}: {value:.4g}, wanted {sign} {bar:g}: {mark}.")
+        mean = float(self.acceptance.mean())
+        low, high = ACCEPTANCE_HINT
+        lines.append(
+            f"Acceptance {mean:.2f}, lowest of a walker {self.acceptance.min():.2f} (differential "
+            f"evolution usually has {low:g} to {high:g}, Newton proposals more)."
+        )
+        return "\n".join(lines)
+
+
+_AT_LEAST = {"steps_per_tau", "effective_draws", "effective_draws_each"}
+_WORDS = {
+    "steps_per_tau": "Steps in the longest autocorrelation time",
+    "tau_drift": "Change of an autocorrelation time between checks",
+    "rhat": "Largest R-hat between half ensembles",
+    "effective_draws": "Fewest effective draws of bulk or tail",
+    "effective_draws_each": "Fewest of one ensemble",
+    "mean_error": "Largest Monte Carlo error of a mean, in standard deviations",
+}
+
+
+def check_convergence(
+    samples: Array, moved: BoolArray, rule: StopRule, before: Sequence[ConvergenceCheck]
+) -> ConvergenceCheck:
+    """The convergence check of the steps so far; the first fifth counts as burn-in.
+
+    Parameters
+    ----------
+    samples
+        In any coordinates, shape ``(ensembles, walkers, steps, n)``.
+    moved
+        Whether a walker moved in a step, shape ``(ensembles, walkers, steps)``.
+    rule
+        The stop rule.
+    before
+        The checks before, oldest first, for the drift of the autocorrelation times.
+    """
+    steps = samples.shape[2]
+    burn_in = int(BURN_IN * steps)
+    kept = [samples[:, :, burn_in:, i] for i in range(samples.shape[3])]
+    tau = _each(autocorrelation_time, kept)
+    # Change since the latest check that is one autocorrelation time back or more.
+    earlier = [x for x in before if steps - x.steps >= float(np.max(tau))]
+    return ConvergenceCheck(
+        rule=rule,
+        steps=steps,
+        burn_in=burn_in,
+        tau=tau,
+        drift=float(np.max(np.abs(tau / earlier[-1].tau - 1.0))) if earlier else np.inf,
+        rhat=_each(split_rhat, kept),
+        bulk=_each(bulk_ess, kept),
+        tail=_each(tail_ess, kept),
+        mean_error=_each(mean_error, kept),
+        acceptance=moved[:, :, burn_in:].mean(axis=2),
+    )
+
+
+def _each(function: Callable[[Array], Array | float], values: Sequence[Array]) -> Array:
+    return np.array([function(one) for one in values])
+
+
+# Of checks to come, before one of them is said never to pass.
+MOST_CHECKS = 1000
+# A drift times the steps: its typical size beside that of the largest of so many independent
+# normal errors, and the spread of its logarithm. From 7 samples of two knees with 8 parameters.
+DRIFT_SIZE, DRIFT_SPREAD = 1.27, 0.5
+# Checks that this counts for beside those made, the first of which are of too few steps to tell.
+PRIOR_CHECKS, FIRST_CHECKS = 10, 2
+
+
+def expected_steps(checks: Sequence[ConvergenceCheck]) -> float:
+    """Steps of every walker at which all conditions are expected to be met; infinite if unknown.
+
+    Effective draws grow with the steps, errors of means fall with their root, and R-hat comes down
+    to 1 as their inverse. The drift of the autocorrelation time is its own noise: it falls as the
+    inverse of the steps on average, and sampling ends when it happens to be small enough, as
+    likely earlier as later than said here.
+    """
+    latest = checks[-1]
+    if latest.is_passed:
+        return float(latest.steps)
+    found = {name: (value, bar) for name, (value, bar, _) in latest.conditions.items()}
+    at_least = ("steps_per_tau", "effective_draws", "effective_draws_each")
+    needed = [found[x][1] / found[x][0] if found[x][0] > 0.0 else np.inf for x in at_least]
+    value, bar = found["mean_error"]
+    needed.append((value / bar) ** 2)
+    value, bar = found["rhat"]
+    needed.append((value - 1.0) / (bar - 1.0))
+    return max(latest.steps * max(1.0, *needed), _drift_steps(checks))
+
+
+def expected_end(checks: Sequence[ConvergenceCheck], spent: float) -> tuple[float, str]:
+    """Steps at which sampling is expected to end, and the state of its convergence in words."""
+    latest = checks[-1]
+    found = latest.conditions
+    length, wanted, _ = found["steps_per_tau"]
+    words = (
+        f"R-hat {found['rhat'][0]:.3f} of {found['rhat'][1]:g}, "
+        f"{length:.0f} of {wanted:g} autocorrelation times, {spent:.0%} of the budget"
+    )
+    return min(expected_steps(checks), latest.steps / max(spent, 1e-9)), words
+
+
+def _drift_steps(checks: Sequence[ConvergenceCheck]) -> float:
+    """Median number of steps until the drift criterion is met."""
+    if len(checks) < 2:
+        return 0.0
+    latest, seen = checks[-1], checks[FIRST_CHECKS:]
+    block = latest.steps - checks[-2].steps
+    scaled = [x.drift * x.steps for x in seen if np.isfinite(x.drift) and x.drift > 0.0]
+    weight = PRIOR_CHECKS / (PRIOR_CHECKS + len(scaled))
+    # Drift expected from the noise of autocorrelation times. The error of one, estimated over a
+    # window of 5 of them, is that of Sokal; it changes with the steps since the check that it is
+    # compared with.
+    tau = float(np.max(latest.tau))
+    since = block * np.ceil(tau / block)
+    error = np.sqrt(2.0 * (10.0 * tau + 1.0) / latest.acceptance.size * since)
+    largest = ndtri((1.0 + 0.5 ** (1.0 / len(latest.tau))) / 2.0)
+    typical = weight * np.log(float(DRIFT_SIZE * largest * error))
+    typical += (1.0 - weight) * np.mean(np.log(scaled or [1.0]))
+    steps = latest.steps + block * np.arange(1, MOST_CHECKS + 1)
+    small = ndtr((np.log(latest.rule.drift * steps) - typical) / DRIFT_SPREAD)
+    passed = np.cumprod(1.0 - small) < 0.5
+    return float(steps[np.argmax(passed)]) if passed.any() else np.inf
+
 
 QUANTILES = (0.025, 0.5, 0.975)
 # Autocorrelation times between draws that count as independent: exp(-4) where it falls evenly.
@@ -139,8 +520,7 @@ class Posterior:
         ValueError
             If the sample is too short and fewer will not do.
         """
-        kept = self.kept
-        n_ensembles, n_walkers, n_steps = kept.shape[:3]
+        n_ensembles, n_walkers, n_steps = self.kept.shape[:3]
         apart = math.ceil(min(APART * float(np.max(self.last_check.tau)), n_steps))
         steps = np.arange(n_steps - 1, -1, -apart)
         places = np.array(
@@ -230,8 +610,7 @@ def prior_sensitivity(posterior: Posterior) -> PriorSensitivity:
     power-scaling, Stat. Comput. 34 (2024) 57, doi:10.1007/s11222-023-10366-5.
     """
     parameters = posterior.parameters
-    working = parameters.to_working(posterior.kept)
-    draws = working.reshape(-1, parameters.n)
+    draws = parameters.to_working(posterior.kept).reshape(-1, parameters.n)
     likelihood = posterior.kept_log_likelihood.ravel()
     prior = log_prior_working(draws, parameters)
     return PriorSensitivity(

@@ -1,4 +1,4 @@
-"""The posterior by sampling: independent ensembles of walkers, until they have converged."""
+"""The posterior by ensembles of walkers until they have converged, or by nested sampling."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -8,19 +8,10 @@ from typing import Any
 
 import emcee
 import numpy as np
-from emcee.moves import Move
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.evaluation import evaluate
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, typical_steps
-from identknee.identify.posterior.convergence import (
-    ConvergenceCheck,
-    SampleOutcome,
-    StopRule,
-    check_convergence,
-    expected_end,
-)
+from identknee.calibrate.problem import Problem, evaluate, typical_steps
 from identknee.identify.posterior.density import (
     InfeasiblePriorMass,
     LogPosterior,
@@ -29,16 +20,24 @@ from identknee.identify.posterior.density import (
     log_prior_working,
     newton_kernel,
     prior_draws,
+    prior_quantiles,
 )
-from identknee.identify.posterior.moves import MOVES, surrogate_moves
-from identknee.identify.posterior.posterior import Posterior
-from identknee.identify.posterior.surrogate import Surrogate, trained_surrogate
+from identknee.identify.posterior.moves import MOVES, Surrogate, surrogate_moves, trained_surrogate
+from identknee.identify.posterior.posterior import (
+    QUANTILES,
+    ConvergenceCheck,
+    Posterior,
+    SampleOutcome,
+    StopRule,
+    check_convergence,
+    expected_end,
+)
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared
 from identknee.runs.executors import Executor, serial
-from identknee.runs.progress import Advance, progress_bar
-from identknee.runs.record import record
+from identknee.runs.progress import progress_bar
+from identknee.runs.record import Record, record
 from identknee.runs.schema import to_plain
 from identknee.runs.store import Store, resumable_map
 
@@ -181,16 +180,24 @@ def next_block(task: Ensemble, item: tuple[int, int, Block, Block | None]) -> Bl
     number, block, before, surrogate = item
     walk = _Walk(task.density)
     blobs = np.asarray(before["blobs"], dtype=np.float64)
+    sequence = np.random.SeedSequence(task.seed, spawn_key=(2, number, block))
     state = emcee.State(
         np.asarray(before["positions"], dtype=np.float64),
         log_prob=np.asarray(before["log_density"], dtype=np.float64),
         blobs=blobs,
         # A block's random numbers follow from its place alone, so that nothing else need be kept.
-        random_state=_random_state(task.seed, number, block),
+        random_state=np.random.RandomState(np.random.MT19937(sequence)).get_state(),
     )
     n_walkers, n = state.coords.shape
     sampler = emcee.EnsembleSampler(
-        n_walkers, n, walk, moves=_moves(task, surrogate), vectorize=True, blobs_dtype=np.float64
+        n_walkers,
+        n,
+        walk,
+        moves=surrogate_moves(Surrogate(**surrogate))
+        if surrogate is not None
+        else MOVES["hamiltonian" if task.moves == "surrogate" else task.moves](),
+        vectorize=True,
+        blobs_dtype=np.float64,
     )
     # The sampler's own wrapper prints a traceback before it lets Ctrl-C through.
     sampler.log_prob_fn = walk
@@ -203,12 +210,6 @@ def next_block(task: Ensemble, item: tuple[int, int, Block, Block | None]) -> Bl
         "chain_log_density": sampler.get_log_prob().T,
         "n_simulations": walk.n_simulations,
     }
-
-
-def _moves(task: Ensemble, surrogate: Block | None) -> list[tuple[Move, float]]:
-    if surrogate is not None:
-        return surrogate_moves(Surrogate(**surrogate))
-    return MOVES["hamiltonian" if task.moves == "surrogate" else task.moves]()
 
 
 class _Walk:
@@ -240,8 +241,7 @@ def _near(walk: _Walk, optimum: Array, generator: np.random.Generator) -> Array 
     factor = row[n + 1 :].reshape(n, n)
     for spread in OVERDISPERSION:
         for _ in range(TRIES):
-            step = np.linalg.solve(factor.T, generator.standard_normal(n))
-            point = optimum + spread * step
+            point = optimum + spread * np.linalg.solve(factor.T, generator.standard_normal(n))
             row_there = walk.row(point)
             if np.isfinite(row_there[0]):
                 return _joined(point, row_there)
@@ -261,11 +261,6 @@ def _joined(*parts: float | Array) -> Array:
 
 def _generator(seed: int, purpose: int, number: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(purpose, number)))
-
-
-def _random_state(seed: int, number: int, block: int) -> Any:
-    sequence = np.random.SeedSequence(seed, spawn_key=(2, number, block))
-    return np.random.RandomState(np.random.MT19937(sequence)).get_state()
 
 
 STEPS = 10
@@ -393,7 +388,17 @@ def sample(
         moves=ensembles.moves_for(density.parameters.n),
         seed=seed,
     )
-    given = None if optima is None else _checked(optima, density.parameters)
+    given = None
+    if optima is not None:
+        given = frozen(optima, None, density.parameters.n, name="optima")
+        if not len(given):
+            raise ValueError("there are no optima to start from; leave them out to find some")
+        outside = np.flatnonzero(~inside(given, density.parameters))
+        if outside.size:
+            raise ValueError(
+                f"optimum {int(outside[0])} lies outside the bounds or has no prior density: "
+                f"{given[outside[0]].tolist()}"
+            )
     run = _Run(task, ensembles.n_ensembles, executor, store)
     recording = record("sample", run.settings(rule), {}, seed)
     prior, excluded = run.prior(ensembles.n_prior)
@@ -478,7 +483,22 @@ class _Run:
         with progress_bar("sampling", is_counted=False) as bar:
             while True:
                 began = time.monotonic()
-                self._advance(len(self.checks))
+                block = len(self.checks)
+                ways = zip(self._states, self._surrogates, strict=True)
+                items = [(number, block, *way) for number, way in enumerate(ways)]
+                states = self._map(partial(next_block, self._task), items, f"block {block:05d}")
+                before = np.array([state["positions"] for state in self._states])
+                chain = np.array([x["chain"] for x in states])
+                path = np.concatenate([before[:, :, None], chain], axis=2)
+                moved = np.any(np.diff(path, axis=2) != 0.0, axis=3)
+                log_density = np.array([x["chain_log_density"] for x in states])
+                self._chain = np.concatenate([self._chain, chain], axis=2)
+                self._log_density = np.concatenate([self._log_density, log_density], axis=2)
+                self._moved = np.concatenate([self._moved, moved], axis=2)
+                self._states = states
+                spent = sum(x["n_simulations"] for x in states)
+                self.n_simulations += spent
+                self.n_walk_simulations += spent
                 latest = check_convergence(self._chain, self._moved, rule, self.checks)
                 self.checks.append(latest)
                 if latest.is_passed:
@@ -487,15 +507,15 @@ class _Run:
                     return SampleOutcome.STUCK
                 if self.n_simulations >= rule.budget:
                     return SampleOutcome.BUDGET
-                self._tell(bar, time.monotonic() - began, rule)
-
-    def _tell(self, bar: Advance, block_s: float, rule: StopRule) -> None:
-        """Show how far sampling is, from the time that the last block took [s]."""
-        expected, words = expected_end(self.checks, self.n_simulations / rule.budget)
-        steps = self.checks[-1].steps
-        # A block that was kept takes no time.
-        left_s = block_s / self._task.steps * (expected - steps) if block_s > KEPT_S else None
-        bar.to(steps / expected, words, left_s)
+                # Show how far sampling is, from the time that the last block took [s].
+                block_s = time.monotonic() - began
+                expected, words = expected_end(self.checks, self.n_simulations / rule.budget)
+                steps = self.checks[-1].steps
+                # A block that was kept takes no time.
+                left_s = (
+                    block_s / self._task.steps * (expected - steps) if block_s > KEPT_S else None
+                )
+                bar.to(steps / expected, words, left_s)
 
     def arrays(self) -> dict[str, Array]:
         parameters = self._task.density.parameters
@@ -503,23 +523,6 @@ class _Run:
             "samples": parameters.from_working(self._chain),
             "log_likelihood": self._log_density - log_prior_working(self._chain, parameters),
         }
-
-    def _advance(self, block: int) -> None:
-        ways = zip(self._states, self._surrogates, strict=True)
-        items = [(number, block, *way) for number, way in enumerate(ways)]
-        states = self._map(partial(next_block, self._task), items, f"block {block:05d}")
-        before = np.array([state["positions"] for state in self._states])
-        chain = np.array([x["chain"] for x in states])
-        path = np.concatenate([before[:, :, None], chain], axis=2)
-        moved = np.any(np.diff(path, axis=2) != 0.0, axis=3)
-        log_density = np.array([x["chain_log_density"] for x in states])
-        self._chain = np.concatenate([self._chain, chain], axis=2)
-        self._log_density = np.concatenate([self._log_density, log_density], axis=2)
-        self._moved = np.concatenate([self._moved, moved], axis=2)
-        self._states = states
-        spent = sum(x["n_simulations"] for x in states)
-        self.n_simulations += spent
-        self.n_walk_simulations += spent
 
     def _map(self, function: Any, items: Sequence[Any], name: str) -> list[Any]:
         return resumable_map(
@@ -536,14 +539,170 @@ def _are_predicted(density: LogPosterior, thetas: Array) -> list[bool]:
     return [evaluate(density.problem, theta).is_finite for theta in thetas]
 
 
-def _checked(optima: ArrayLike, parameters: Parameters) -> Array:
-    places = frozen(optima, None, parameters.n, name="optima")
-    if not len(places):
-        raise ValueError("there are no optima to start from; leave them out to find some")
-    outside = np.flatnonzero(~inside(places, parameters))
-    if outside.size:
-        raise ValueError(
-            f"optimum {int(outside[0])} lies outside the bounds or has no prior density: "
-            f"{places[outside[0]].tolist()}"
+N_LIVE = 300
+N_RESAMPLED = 100
+# What dynesty takes for impossible; it cannot count with minus infinity.
+IMPOSSIBLE = -1e300
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NestedPosterior:
+    """Weighted draws of the posterior by nested sampling, and the evidence.
+
+    Attributes
+    ----------
+    parameters
+        The parameters, in the order of theta.
+    samples
+        Theta, shape ``(k, n)``.
+    weights
+        Their posterior weights, sum 1, shape ``(k,)``.
+    quantile_errors
+        Standard errors of the 2.5, 50 and 97.5 % quantiles, shape ``(n, 3)``, from runs resampled
+        from the live points of this one.
+    log_evidence
+        Logarithm of the mean likelihood over the prior within the bounds, the likelihood being
+        ``exp(-deviance / 2)``: without the constant that depends on the noise alone.
+    log_evidence_error
+        Its standard error.
+    n_simulations
+        How many it took.
+    seed
+        Seed of all random numbers.
+    record
+        The call, its settings and the time.
+    """
+
+    parameters: Parameters
+    samples: Array
+    weights: Array
+    quantile_errors: Array
+    log_evidence: float
+    log_evidence_error: float
+    n_simulations: int
+    seed: int
+    record: Record
+
+    def __post_init__(self) -> None:
+        samples = frozen(self.samples, None, self.parameters.n, name="samples")
+        object.__setattr__(self, "samples", samples)
+        object.__setattr__(self, "weights", frozen(self.weights, len(samples), name="weights"))
+        errors = frozen(self.quantile_errors, self.parameters.n, None, name="quantile_errors")
+        object.__setattr__(self, "quantile_errors", errors)
+
+    @property
+    def effective_draws(self) -> float:
+        """Effective sample size of weighted draws (Kish)."""
+        return float(1.0 / np.sum(self.weights**2))
+
+    def quantiles(self, probabilities: ArrayLike = QUANTILES) -> Array:
+        """Posterior quantiles of each parameter, shape ``(n, k)``."""
+        return np.array(
+            [weighted_quantiles(x, self.weights, probabilities) for x in self.samples.T]
         )
-    return places
+
+
+def weighted_quantiles(values: Array, weights: Array, probabilities: ArrayLike) -> Array:
+    """Quantiles of weighted values, both of shape ``(k,)``, between them linear.
+
+    Examples
+    --------
+    >>> weighted_quantiles(np.array([3.0, 1.0, 2.0]), np.array([0.2, 0.4, 0.4]), [0.5])
+    array([1.75])
+    """
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.asarray(np.interp(np.asarray(probabilities), below, values[order]))
+
+
+def nested_posterior(problem: Problem, *, n_live: int = N_LIVE, seed: int = 0) -> NestedPosterior:
+    """The posterior and the evidence by nested sampling with dynesty.
+
+    It shares the density with `identknee.identify.posterior.sample.sample` and nothing else: no
+    starts, no derivatives, no chains. It is a check, slower and not resumable.
+
+    Parameters
+    ----------
+    problem
+        Problem whose residuals are in units of their noise.
+    n_live
+        Live points; errors shrink with their square root, time grows with them.
+    seed
+        Seed of all random numbers.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If dynesty is not installed.
+    ValueError
+        If there are fewer than two live points a parameter.
+
+    References
+    ----------
+    J. S. Speagle, dynesty: a dynamic nested sampling package for estimating Bayesian posteriors
+    and evidences, MNRAS 493 (2020) 3132-3158, doi:10.1093/mnras/staa278.
+    """
+    parameters = LogPosterior(problem=problem).parameters
+    if n_live < 2 * parameters.n:
+        raise ValueError(
+            f"nested sampling of {parameters.n} parameters needs at least {2 * parameters.n} live "
+            f"points, got {n_live}"
+        )
+    try:
+        import dynesty
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            'nested sampling needs the package dynesty; install it with: pip install "identknee'
+            '[nested]"'
+        ) from error
+    recording = record("nested", {"n_live": n_live}, {}, seed)
+
+    def log_likelihood(theta: Array) -> float:
+        evaluation = evaluate(problem, theta)
+        return -0.5 * evaluation.deviance if evaluation.is_finite else IMPOSSIBLE
+
+    sampler = dynesty.NestedSampler(
+        log_likelihood,
+        lambda unit: prior_quantiles(parameters, np.asarray(unit)),
+        parameters.n,
+        nlive=n_live,
+        # Uniform draws within ellipsoids waste most of their simulations on a curved ridge.
+        sample="rwalk",
+        rstate=np.random.default_rng(seed),
+    )
+    sampler.run_nested(print_progress=False)
+    results = sampler.results
+    # Spread of the quantiles over runs with other live points and other prior volumes. The number
+    # of effective draws would not do: live points share ancestors, and how much of the prior each
+    # one stands for is itself an estimate.
+
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    rows = []
+    for _ in range(N_RESAMPLED):
+        run = dynesty.utils.resample_run(results, rstate=generator)
+        run = dynesty.utils.jitter_run(run, rstate=generator)
+        columns = np.asarray(run.samples).T
+        rows.append([weighted_quantiles(x, _weights(run), QUANTILES) for x in columns])
+    return NestedPosterior(
+        parameters=parameters,
+        samples=np.asarray(results.samples),
+        weights=_weights(results),
+        quantile_errors=np.asarray(np.std(rows, axis=0, ddof=1)),
+        log_evidence=float(results.logz[-1]),
+        log_evidence_error=float(results.logzerr[-1]),
+        n_simulations=int(np.sum(results.ncall)),
+        seed=seed,
+        record=recording.finish(),
+    )
+
+
+def quantile_differences(posterior: Posterior, nested: NestedPosterior) -> Array:
+    """Differences of the 2.5, 50 and 97.5 % quantiles in their joint standard error, ``(n, 3)``."""
+    difference = posterior.quantiles() - nested.quantiles()
+    error = np.hypot(posterior.quantile_errors(), nested.quantile_errors)
+    return np.asarray(difference / error)
+
+
+def _weights(results: Any) -> Array:
+    weights = np.exp(results.logwt - np.max(results.logwt))
+    return np.asarray(weights / np.sum(weights), dtype=np.float64)

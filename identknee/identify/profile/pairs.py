@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import Problem, typical_steps
-from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.profile.result import SideStatus, crossings
-from identknee.identify.profile.thresholds import chi2_threshold, threshold_below
+from identknee.calibrate.problem import Evaluator, ParameterQuantity, Problem, typical_steps
+from identknee.identify.profile.result import SideStatus, chi2_threshold, crossings, threshold_below
 from identknee.identify.profile.walk import BetterOptimumFound, ProfileContext, march
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
@@ -188,7 +185,14 @@ class RayProblem:
         """The distance from the origin, then the parameters other than the pair."""
         everything = self.problem.parameters
         others = self.others.parameters
-        farthest = _room(everything, self.origin, self.pair, self.direction)
+        # Length of the ray within the bounds.
+        lengths = [np.inf]
+        for i, change in zip(self.pair, self.direction, strict=True):
+            bound = everything.upper[i] if change > 0 else everything.lower[i]
+            if change != 0.0:
+                lengths.append((bound - self.origin[i]) / change)
+        # Bounds must differ, so an optimum on a bound keeps a way of no importance.
+        farthest = max(float(min(lengths)), np.finfo(np.float64).tiny)
         return Parameters(
             names=(RADIUS, *others.names),
             center=np.r_[0.0, others.center],
@@ -239,17 +243,6 @@ def _shape(jacobian: Array, parameters: Parameters, pair: tuple[int, int]) -> Ar
     return np.asarray(np.linalg.cholesky(covariance))
 
 
-def _room(parameters: Parameters, origin: Array, pair: tuple[int, int], direction: Array) -> float:
-    """Length of the ray within the bounds."""
-    lengths = [np.inf]
-    for i, change in zip(pair, direction, strict=True):
-        bound = parameters.upper[i] if change > 0 else parameters.lower[i]
-        if change != 0.0:
-            lengths.append((bound - origin[i]) / change)
-    # Bounds must differ, so an optimum on a bound keeps a way of no importance.
-    return max(float(min(lengths)), np.finfo(np.float64).tiny)
-
-
 def _ray(
     problem: Problem,
     theta: Array,
@@ -267,8 +260,7 @@ def _ray(
     walk = ProfileContext(evaluator, radius, threshold, evaluator(start))
     walk.is_final = is_last
     try:
-        origin = walk.point(walk.solve(0.0, start, tolerance=np.inf))
-        leg = march(walk, origin, 1)
+        leg = march(walk, walk.point(walk.solve(0.0, start, tolerance=np.inf)), 1)
     except BetterOptimumFound as found:
         better = along.expand(found.theta)
         return {

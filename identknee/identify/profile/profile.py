@@ -1,7 +1,7 @@
 """The profile likelihood of a parameter or any other quantity."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypedDict, Unpack
@@ -11,25 +11,27 @@ import scipy
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import IsEnough, minimise
-from identknee.calibrate.evaluation import Evaluation, Evaluator, evaluate
 from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import (
     EIGENVALUE_TOLERANCE,
     UNSEEN_TOLERANCE,
+    Evaluation,
+    Evaluator,
+    ParameterQuantity,
     Problem,
+    Quantity,
     conditional_sds,
+    evaluate,
     typical_steps,
 )
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.profile.result import (
-    Interval,
     Profile,
     ProfileVerdict,
     Side,
     SideStatus,
+    chi2_threshold,
     cubic,
 )
-from identknee.identify.profile.thresholds import chi2_threshold
 from identknee.identify.profile.walk import (
     AT_END,
     FLAT,
@@ -84,8 +86,7 @@ class Branch:
     @property
     def points(self) -> list[ProfilePoint]:
         """All points from low to high values."""
-        both = [*self.lower.points, *self.upper.points[1:]]
-        return sorted(both, key=lambda x: x.value)
+        return sorted([*self.lower.points, *self.upper.points[1:]], key=lambda x: x.value)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -109,13 +110,6 @@ def constant_branches(walk: ProfileContext, origin: ProfilePoint) -> list[Branch
     Its set begins as that one value. Where it is another one at an end of the confidence set of a
     parameter, by the covariance at the optimum, the fit there with the largest and the smallest
     value begin branches of their own.
-
-    Parameters
-    ----------
-    walk
-        The quantity and the threshold.
-    origin
-        The optimum.
     """
     side = Side(
         status=SideStatus.CLOSED,
@@ -127,19 +121,7 @@ def constant_branches(walk: ProfileContext, origin: ProfilePoint) -> list[Branch
     )
     leg = SideWalk(points=(origin,), side=side)
     branches = [Branch(lower=leg, upper=leg)]
-    found = [
-        (*walk.quantity.evaluate(theta), theta) for theta in _confidence_set_corners(walk, origin)
-    ]
-    found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
-    for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
-        solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
-        if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
-            branches.append(walk_branch(walk, walk.point(solved)))
-    return branches
-
-
-def _confidence_set_corners(walk: ProfileContext, origin: ProfilePoint) -> list[Array]:
-    """Theta near each end of each parameter's confidence set, the others adjusted."""
+    # Theta near each end of each parameter's confidence set, the others adjusted.
     parameters = walk.evaluator.parameters
     at = origin.evaluation
     scales = typical_steps(parameters)
@@ -148,11 +130,18 @@ def _confidence_set_corners(walk: ProfileContext, origin: ProfilePoint) -> list[
     sd = np.sqrt(np.diag(covariance))
     known = sd > 0
     moves = ALMOST * np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
-    return [
+    corners = [
         np.clip(at.theta + sign * move, parameters.lower, parameters.upper)
         for move in moves
         for sign in (-1.0, 1.0)
     ]
+    found = [(*walk.quantity.evaluate(theta), theta) for theta in corners]
+    found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
+    for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
+        solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
+        if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
+            branches.append(walk_branch(walk, walk.point(solved)))
+    return branches
 
 
 def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Branch]:
@@ -163,21 +152,32 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
     own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
     to no optimum of their own are looked for by coming back to each end of the optimum's branch
     from outside.
-
-    Parameters
-    ----------
-    walk
-        The quantity and the threshold.
-    main
-        The optimum's branch.
-    starts
-        Where else to look for optima, shape ``(k, n)``.
     """
     branches = [main]
     regions = _beside(main, walk.limits)
     while regions and len(branches) < MOST_BRANCHES:
         region = regions.pop(0)
-        start = _into(walk, main, region)
+        # The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow.
+        low, high = main.limits
+        reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
+        width = max(reach) - min(reach)
+        if region[1] - region[0] < NARROW * width:
+            start = None
+        else:
+            if np.isinf(region[0]):
+                value = region[1] - WIDTHS * width
+            elif np.isinf(region[1]):
+                value = region[0] + WIDTHS * width
+            else:
+                value = 0.5 * (region[0] + region[1])
+            theta = np.array(main.origin.evaluation.theta)
+            if isinstance(walk.quantity, ParameterQuantity):
+                theta[walk.quantity.index] = value
+                start = theta
+            else:
+                tolerance = GLANCE_TOLERANCE * walk.threshold
+                solved = walk.solve(value, theta, tolerance=tolerance, most_steps=GLANCE_STEPS)
+                start = solved.evaluation.theta if solved.evaluation.is_finite else None
         branch = None if start is None else _branch_from(walk, branches, start)
         if branch is not None:
             branches.append(branch)
@@ -198,28 +198,6 @@ def _beside(branch: Branch, region: Region) -> list[Region]:
     low, high = branch.limits
     below, above = (region[0], low), (high, region[1])
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
-
-
-def _into(walk: ProfileContext, main: Branch, region: Region) -> Array | None:
-    """The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow."""
-    low, high = main.limits
-    reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
-    width = max(reach) - min(reach)
-    if region[1] - region[0] < NARROW * width:
-        return None
-    if np.isinf(region[0]):
-        value = region[1] - WIDTHS * width
-    elif np.isinf(region[1]):
-        value = region[0] + WIDTHS * width
-    else:
-        value = 0.5 * (region[0] + region[1])
-    theta = np.array(main.origin.evaluation.theta)
-    if isinstance(walk.quantity, ParameterQuantity):
-        theta[walk.quantity.index] = value
-        return theta
-    tolerance = GLANCE_TOLERANCE * walk.threshold
-    solved = walk.solve(value, theta, tolerance=tolerance, most_steps=GLANCE_STEPS)
-    return solved.evaluation.theta if solved.evaluation.is_finite else None
 
 
 def _branch_beyond_end(walk: ProfileContext, leg: SideWalk, direction: int) -> Branch | None:
@@ -336,8 +314,7 @@ def _is_known(walk: ProfileContext, branches: Sequence[Branch], point: ProfilePo
         low, high = branch.limits
         if not low <= point.value <= high:
             continue
-        near = branch.nearest(point.value)
-        expected = walk.start(point.value, near, None)
+        expected = walk.start(point.value, branch.nearest(point.value), None)
         moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
         if float(moved @ moved) < JUMP * walk.threshold:
             return True
@@ -371,8 +348,43 @@ def assembled(
         The optimum, where it is not the one given, and how often the profile was started over.
     """
     origin = branches[0].origin
-    intervals, sides = _union(branches)
-    curve = _envelope(walk, branches)
+    # Intervals are separate where the data exclude what lies between. Where only the model ends
+    # between them, nothing does, and they are one.
+    ends = [(x.lower.side, x.upper.side) for x in branches]
+    reaches = [(_reach(x, -np.inf), _reach(y, np.inf), x, y) for x, y in ends]
+    merged: list[tuple[float, Side, Side]] = []
+    for low, high, lower, upper in sorted(reaches, key=lambda x: x[:2]):
+        if merged:
+            highest, first, last = merged[-1]
+            is_gap = SideStatus.OPEN_AT_FEASIBILITY in {last.status, lower.status}
+            if low <= highest or is_gap:
+                merged[-1] = (high, first, upper) if high > highest else merged[-1]
+                continue
+        merged.append((high, lower, upper))
+    intervals = tuple((lower.end, upper.end) for _, lower, upper in merged)
+    sides = (merged[0][1], merged[-1][2])
+    # Points from low to high values with their branch, without those above another branch.
+    kept: list[tuple[ProfilePoint, int]] = []
+    for i, branch in enumerate(branches):
+        others = [x for x in branches if x is not branch]
+        for point in branch.points:
+            height = walk.delta(point) - AT_END * walk.threshold
+            if all(_height(walk, other, point.value) >= height for other in others):
+                kept.append((point, i))
+    kept.sort(key=lambda x: x[0].value)
+    places = [x[0].value for x in kept]
+    curve = [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
+    n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
+    is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
+    verdict = ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
+    if len(intervals) > 1:
+        verdict = ProfileVerdict.MULTIMODAL
+    elif any(x.status in UNDECIDED for x in sides):
+        verdict = ProfileVerdict.UNDETERMINED
+    elif n_closed > 0:
+        verdict = (ProfileVerdict.ONE_SIDED, ProfileVerdict.IDENTIFIABLE)[n_closed - 1]
+    elif is_flat and _is_structurally_flat(walk, origin):
+        verdict = ProfileVerdict.STRUCTURALLY_SUSPECT
     return Profile(
         name=walk.quantity.name,
         unit=walk.quantity.unit,
@@ -389,7 +401,7 @@ def assembled(
         intervals=intervals,
         lower_side=sides[0],
         upper_side=sides[1],
-        verdict=_verdict(walk, origin, sides, intervals),
+        verdict=verdict,
         practical_level=min(_level(x, level, walk.threshold) for x in sides),
         n_simulations=walk.evaluator.n_simulations,
         better_optimum=better_optimum,
@@ -397,67 +409,11 @@ def assembled(
     )
 
 
-def _union(branches: Sequence[Branch]) -> tuple[tuple[Interval, ...], tuple[Side, Side]]:
-    """The separate intervals of all branches together, and the outermost sides.
-
-    Two are separate where the data exclude what lies between. Where only the model ends between
-    them, nothing does, and they are one.
-    """
-    reaches = [_Reach.of(x) for x in branches]
-    merged: list[_Reach] = []
-    for reach in sorted(reaches, key=lambda x: (x.low, x.high)):
-        if merged and merged[-1].overlaps_next(reach):
-            merged[-1] = merged[-1].joined(reach)
-        else:
-            merged.append(reach)
-    intervals = tuple((x.lower.end, x.upper.end) for x in merged)
-    return intervals, (merged[0].lower, merged[-1].upper)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Reach:
-    """The confidence interval of a branch, infinite where open, and how it ends."""
-
-    low: float
-    high: float
-    lower: Side
-    upper: Side
-
-    @classmethod
-    def of(cls, branch: Branch) -> "_Reach":
-        lower, upper = branch.lower.side, branch.upper.side
-        return cls(low=_reach(lower, -np.inf), high=_reach(upper, np.inf), lower=lower, upper=upper)
-
-    def overlaps_next(self, other: "_Reach") -> bool:
-        """Whether this interval overlaps with the next higher one."""
-        at_boundary = SideStatus.OPEN_AT_FEASIBILITY
-        is_gap = at_boundary in {self.upper.status, other.lower.status}
-        return other.low <= self.high or is_gap
-
-    def joined(self, other: "_Reach") -> "_Reach":
-        highest = max(self, other, key=lambda x: x.high)
-        return replace(self, high=highest.high, upper=highest.upper)
-
-
 def _reach(side: Side, beyond: float) -> float:
     """Where a side ends; the feasibility boundary where the model does, else `beyond` if open."""
     if side.status is SideStatus.OPEN_AT_FEASIBILITY:
         return side.reached
     return beyond if side.end is None else side.end
-
-
-def _envelope(walk: ProfileContext, branches: Sequence[Branch]) -> list[tuple[ProfilePoint, int]]:
-    """Points from low to high values with their branch, without those above another branch."""
-    kept: list[tuple[ProfilePoint, int]] = []
-    for k, branch in enumerate(branches):
-        others = [x for x in branches if x is not branch]
-        for point in branch.points:
-            height = walk.delta(point) - AT_END * walk.threshold
-            if all(_height(walk, other, point.value) >= height for other in others):
-                kept.append((point, k))
-    kept.sort(key=lambda x: x[0].value)
-    places = [x[0].value for x in kept]
-    return [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
 
 
 def curve_slopes(walk: ProfileContext, points: Sequence[ProfilePoint]) -> Array:
@@ -482,27 +438,6 @@ def _height(walk: ProfileContext, branch: Branch, value: float) -> float:
                 (right.value, walk.delta(right), right.slope),
             )
     return np.inf
-
-
-def _verdict(
-    walk: ProfileContext,
-    origin: ProfilePoint,
-    sides: tuple[Side, Side],
-    intervals: tuple[Interval, ...],
-) -> ProfileVerdict:
-    if len(intervals) > 1:
-        return ProfileVerdict.MULTIMODAL
-    if any(x.status in UNDECIDED for x in sides):
-        return ProfileVerdict.UNDETERMINED
-    n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
-    if n_closed == 2:
-        return ProfileVerdict.IDENTIFIABLE
-    if n_closed == 1:
-        return ProfileVerdict.ONE_SIDED
-    is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
-    if is_flat and _is_structurally_flat(walk, origin):
-        return ProfileVerdict.STRUCTURALLY_SUSPECT
-    return ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
 
 
 def _is_structurally_flat(walk: ProfileContext, origin: ProfilePoint) -> bool:
@@ -575,7 +510,7 @@ def profile(
         Confidence level of the set.
     threshold
         Rise of the deviance that bounds it; that of the chi-squared law if None. See
-        `identknee.identify.profile.thresholds` for unknown noise and for few data.
+        `identknee.identify.profile.result` for unknown noise and for few data.
     budget
         Simulations allowed.
     starts
@@ -613,11 +548,6 @@ def polish_optimum(
 ) -> PolishedOptimum:
     """The polished optimum, shared by several profiles.
 
-    Parameters
-    ----------
-    problem, optimum_theta, threshold, budget
-        As for `profile`.
-
     Raises
     ------
     ValueError
@@ -631,8 +561,6 @@ def polish_optimum(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Run:
-    """The settings of one profile."""
-
     evaluator: Evaluator
     quantity: Quantity
     level: float
@@ -642,10 +570,14 @@ class _Run:
     def profile(self, optimum: Evaluation) -> Profile:
         for n_restarts in range(MOST_RESTARTS + 1):
             walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
-            is_last = n_restarts == MOST_RESTARTS
-            walk.is_final = is_last
+            walk.is_final = n_restarts == MOST_RESTARTS
             try:
-                branches = self._branches(walk, optimum.theta)
+                value, gradient = self.quantity.evaluate(optimum.theta)
+                origin = walk.point(walk.solve(value, optimum.theta, tolerance=np.inf))
+                if not gradient.any():
+                    branches = constant_branches(walk, origin)
+                else:
+                    branches = find_branches(walk, walk_branch(walk, origin), self.starts)
             except BetterOptimumFound as found:
                 optimum = _settled(self.evaluator, found.theta, self.threshold)
                 continue
@@ -657,13 +589,6 @@ class _Run:
                 n_restarts=n_restarts,
             )
         raise AssertionError  # pragma: no cover - the last round meets nothing better
-
-    def _branches(self, walk: ProfileContext, theta: Array) -> list[Branch]:
-        value, gradient = self.quantity.evaluate(theta)
-        origin = walk.point(walk.solve(value, theta, tolerance=np.inf))
-        if not gradient.any():
-            return constant_branches(walk, origin)
-        return find_branches(walk, walk_branch(walk, origin), self.starts)
 
 
 def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation:
@@ -811,10 +736,14 @@ def profile_quantities(
             description="profiling",
         )
         found = tuple(from_plain(Profile, x) for x in kept)
-        better = _lowest_better_optimum(found)
-        if better is None:
+        # Once more from the lowest of the better optima met, unless all profiles stand on it.
+        lowest = min(found, key=lambda x: x.deviance)
+        # A hundredth of what would start one profile over.
+        if lowest.better_optimum is None or all(
+            x.deviance <= lowest.deviance + 1e-6 * lowest.threshold for x in found
+        ):
             break
-        theta = better
+        theta = np.array(lowest.better_optimum)
     return found
 
 
@@ -876,14 +805,3 @@ def _profiled(
     quantity, threshold = asked[which]
     optimum = PolishedOptimum(theta=theta)
     return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))
-
-
-def _lowest_better_optimum(found: Sequence[Profile]) -> Array | None:
-    """The lowest of the better optima met; None if none was or all profiles stand on it."""
-    lowest = min(found, key=lambda x: x.deviance)
-    if lowest.better_optimum is None:
-        return None
-    # A hundredth of what would start one profile over.
-    if all(x.deviance <= lowest.deviance + 1e-6 * lowest.threshold for x in found):
-        return None
-    return np.array(lowest.better_optimum)

@@ -13,9 +13,14 @@ from identknee.calibrate.bounded_least_squares import (
     minimise,
     solve_constrained,
 )
-from identknee.calibrate.evaluation import Evaluation, Evaluator, SearchEnded
-from identknee.calibrate.problem import conditional_sds
-from identknee.calibrate.quantity import ParameterQuantity, Quantity
+from identknee.calibrate.problem import (
+    Evaluation,
+    Evaluator,
+    ParameterQuantity,
+    Quantity,
+    SearchEnded,
+    conditional_sds,
+)
 from identknee.identify.profile.result import Side, SideStatus, crossings
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.record import Outcome
@@ -412,22 +417,11 @@ def march(walk: ProfileContext, origin: ProfilePoint, direction: int) -> SideWal
     Where the path meets the feasibility boundary, beyond which a trial has no prediction, the fit
     is begun again from other points with the same value, and then farther out. The side ends there
     only where none of them has a prediction.
-
-    Parameters
-    ----------
-    walk
-        The quantity and the threshold.
-    origin
-        Where to begin.
-    direction
-        1 for growing values, -1 for falling ones.
     """
     return _March(walk, origin, direction).run()
 
 
 class _March:
-    """The state of the profile on one side."""
-
     def __init__(self, walk: ProfileContext, origin: ProfilePoint, direction: int) -> None:
         self._walk = walk
         self._direction = direction
@@ -439,7 +433,13 @@ class _March:
         self._bound = walk.limits[1 if direction > 0 else 0]
         self._root = float(np.sqrt(walk.threshold))
         self._n_refined = self._n_retries = self._n_detours = 0
-        self._unit = self._first_step(origin)
+        step = step_to(self._walk.threshold / POINTS_PER_SIDE**2, 0.0, origin.curvature)
+        low, high = self._walk.limits
+        if step < high - low:
+            self._unit = step
+        else:
+            room = abs(self._bound - origin.value)
+            self._unit = room / STEPS_ACROSS if np.isfinite(room) else max(abs(origin.value), 1.0)
 
     def run(self) -> SideWalk:
         for _ in range(MOST_POINTS):
@@ -450,20 +450,12 @@ class _March:
                 return SideWalk(points=tuple(self._points), side=side)
         return SideWalk(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
 
-    def _first_step(self, origin: ProfilePoint) -> float:
-        rise = self._walk.threshold / POINTS_PER_SIDE**2
-        step = step_to(rise, 0.0, origin.curvature)
-        low, high = self._walk.limits
-        if step < high - low:
-            return step
-        room = abs(self._bound - origin.value)
-        return room / STEPS_ACROSS if np.isfinite(room) else max(abs(origin.value), 1.0)
-
     # Where to go.
 
     def _go_on(self) -> Side | None:
         value = self._next_value()
-        start = self._walk.start(value, self._inside, self._behind())
+        behind = self._outside or (self._points[-2] if len(self._points) > 1 else None)
+        start = self._walk.start(value, self._inside, behind)
         is_near_end = self._outside is not None or (
             self._walk.delta(self._inside) > NEAR_END * self._walk.threshold
         )
@@ -474,7 +466,18 @@ class _March:
         if not np.isfinite(solved.evaluation.deviance):
             return self._cross_gap(value, tolerance)
         if not solved.is_on_target:
-            return self._missed(value, solved, tolerance)
+            # The end of the range, a gap or a failure.
+            if solved.outcome is Outcome.MINIMUM:
+                point = self._walk.point(solved)
+                self._bound = point.value
+                if self._direction * (point.value - self._inside.value) <= 0:
+                    return self._at_bound()
+                self._accept(point)
+                return None
+            if solved.outcome is Outcome.CLIFF:
+                return self._cross_gap(value, tolerance)
+            self._blocked = value
+            return None
         self._take(self._walk.point(solved), start)
         return None
 
@@ -484,7 +487,14 @@ class _March:
         solved = walk.solve(value, start, tolerance=tolerance)
         if solved.outcome is Outcome.START_FAILED:
             solved = walk.solve(value, inside.theta, tolerance=tolerance)
-        if self._n_detours == MOST_DETOURS or not self._is_limited_by_feasibility(solved):
+        if self._n_detours == MOST_DETOURS:
+            return solved
+        # Whether the feasibility boundary kept a fit from being made or from going lower.
+        if solved.is_on_target:
+            is_limited = not walk.is_settled(walk.point(solved))
+        else:
+            is_limited = solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF}
+        if not is_limited:
             return solved
         self._n_detours += 1
         around = walk.solve_around(value, inside, tolerance=tolerance)
@@ -493,12 +503,6 @@ class _March:
         ):
             return solved
         return around
-
-    def _is_limited_by_feasibility(self, solved: ConstrainedFit) -> bool:
-        """Whether the feasibility boundary kept a fit from being made or from going lower."""
-        if solved.outcome in {Outcome.START_FAILED, Outcome.CLIFF} and not solved.is_on_target:
-            return True
-        return solved.is_on_target and not self._walk.is_settled(self._walk.point(solved))
 
     def _cross_gap(self, value: float, tolerance: float) -> Side | None:
         """Continue beyond a gap without predictions if there are fits beyond; else step back."""
@@ -529,12 +533,6 @@ class _March:
                 break
         return None
 
-    def _behind(self) -> ProfilePoint | None:
-        """The accepted point before the last, or the one beyond the end."""
-        if self._outside is not None:
-            return self._outside
-        return self._points[-2] if len(self._points) > 1 else None
-
     def _next_value(self) -> float:
         if self._outside is not None:
             if self._blocked is not None:
@@ -544,24 +542,21 @@ class _March:
         root = self._z(at)
         spacing = self._root / POINTS_PER_SIDE
         goal = self._root if root + 1.4 * spacing > self._root else root + spacing
-        slope = self._direction * at.slope
-        step = step_to(goal**2 - self._walk.delta(at), slope, at.curvature)
+        step = step_to(goal**2 - self._walk.delta(at), self._direction * at.slope, at.curvature)
         if not self._walk.is_settled(at):
             # The slope is that of the boundary.
             step = max(step, self._unit)
-        value = at.value + self._direction * self._limited(step)
+        last = self._unit
+        if len(self._points) > 1:
+            last = max(LONGER * abs(self._points[-1].value - self._points[-2].value), self._unit)
+        most = abs(self._bound - self._points[0].value) / STEPS_ACROSS
+        step = max(min(step, last, most), END_TOLERANCE * self._distance())
+        value = at.value + self._direction * step
         if self._blocked is not None and self._direction * (value - self._blocked) >= 0:
             return 0.5 * (at.value + self._blocked)
         # A step that would end just before the bound goes all the way.
         room = self._direction * (self._bound - value)
         return value if room > BESIDE_BOUND * self._distance() else self._bound
-
-    def _limited(self, step: float) -> float:
-        last = self._unit
-        if len(self._points) > 1:
-            last = max(LONGER * abs(self._points[-1].value - self._points[-2].value), self._unit)
-        room = abs(self._bound - self._points[0].value) / STEPS_ACROSS
-        return max(min(step, last, room), END_TOLERANCE * self._distance())
 
     def _refined(self, outside: ProfilePoint) -> float:
         self._n_refined += 1
@@ -576,23 +571,6 @@ class _March:
         )
         return found[0]
 
-    # What came back.
-
-    def _missed(self, value: float, solved: ConstrainedFit, tolerance: float) -> Side | None:
-        """Handle a fit that missed its target: the end of the range, a gap or a failure."""
-        if solved.outcome is Outcome.MINIMUM:
-            point = self._walk.point(solved)
-            self._bound = point.value
-            if self._direction * (point.value - self._inside.value) > 0:
-                self._accept(point)
-            else:
-                return self._at_bound()
-            return None
-        if solved.outcome is Outcome.CLIFF:
-            return self._cross_gap(value, tolerance)
-        self._blocked = value
-        return None
-
     def _take(self, point: ProfilePoint, start: Array) -> None:
         # Beside the feasibility boundary slopes say nothing of the next fit.
         is_smooth = self._walk.is_settled(point) and self._walk.is_settled(self._inside)
@@ -605,7 +583,19 @@ class _March:
         if self._outside is None:
             self._n_retries = 0
         if mismatch < -limit:
-            self._repair(point)
+            # Walk back from a point that jumped down, and replace points that lie above this path.
+            last, other = point, None
+            for k in range(len(self._points) - 1, 0, -1):
+                old = self._points[k]
+                begin = self._walk.start(old.value, last, other)
+                refitted = self._walk.solve(
+                    old.value, begin, tolerance=ON_CURVE * self._walk.threshold
+                )
+                gain = old.evaluation.deviance - refitted.evaluation.deviance
+                if not refitted.is_on_target or gain < ON_CURVE * self._walk.threshold:
+                    break
+                self._points[k] = self._walk.point(refitted)
+                last, other = self._points[k], last
         self._accept(point)
         is_beyond = self._blocked is not None and (
             self._direction * (self._inside.value - self._blocked) > 0
@@ -630,19 +620,6 @@ class _March:
         expected = 0.5 * step * (at.slope + point.slope)
         return point.evaluation.deviance - at.evaluation.deviance - expected
 
-    def _repair(self, point: ProfilePoint) -> None:
-        """Walk back from a point that jumped down, and replace points that lie above this path."""
-        last, other = point, None
-        for k in range(len(self._points) - 1, 0, -1):
-            old = self._points[k]
-            start = self._walk.start(old.value, last, other)
-            solved = self._walk.solve(old.value, start, tolerance=ON_CURVE * self._walk.threshold)
-            gain = old.evaluation.deviance - solved.evaluation.deviance
-            if not solved.is_on_target or gain < ON_CURVE * self._walk.threshold:
-                break
-            self._points[k] = self._walk.point(solved)
-            last, other = self._points[k], last
-
     # How it ended.
 
     def _ended(self) -> Side | None:
@@ -654,7 +631,10 @@ class _March:
         for point in (outside, at):
             end = None if point is None else self._extrapolated_end(point)
             if point is not None and end is not None:
-                return self._closed(point, end, self._error(point))
+                missing = abs(self._walk.delta(point) - self._walk.threshold)
+                slope = max(abs(point.slope), 1e-300)
+                left = SLOPE_ERROR * missing + LEFT * AT_END * self._walk.threshold
+                return self._closed(point, end, float(left / slope))
         if outside is not None:
             width = abs(outside.value - at.value)
             if width <= END_TOLERANCE * self._distance():
@@ -664,7 +644,8 @@ class _March:
             if width <= GAP_TOLERANCE * self._distance():
                 failed, ended = SideStatus.FAILED, SideStatus.OPEN_AT_FEASIBILITY
                 return self._open(ended if self._is_gap else failed)
-        if not np.isfinite(self._bound) and self._is_flat_far_out():
+        is_far = not np.isfinite(self._bound) and self._distance() > FAR * self._unit
+        if is_far and self._is_flat():
             return self._open(SideStatus.OPEN_FLAT)
         return None
 
@@ -684,8 +665,7 @@ class _March:
         return not is_excluded and not self._walk.is_settled(point)
 
     def _at_bound(self) -> Side:
-        flat = self._is_flat()
-        return self._open(SideStatus.OPEN_FLAT if flat else SideStatus.OPEN_AT_BOUND)
+        return self._open(SideStatus.OPEN_FLAT if self._is_flat() else SideStatus.OPEN_AT_BOUND)
 
     def _is_flat(self) -> bool:
         at = self._inside
@@ -695,20 +675,11 @@ class _March:
             return False
         return self._direction * at.slope * distance <= FLAT * self._walk.threshold
 
-    def _is_flat_far_out(self) -> bool:
-        return self._distance() > FAR * self._unit and self._is_flat()
-
     def _z(self, point: ProfilePoint) -> float:
         return float(np.sqrt(max(self._walk.delta(point), 0.0)))
 
     def _distance(self) -> float:
         return max(abs(self._inside.value - self._points[0].value), self._unit)
-
-    def _error(self, point: ProfilePoint) -> float:
-        """Estimated error of the end, in units of the value."""
-        missing = abs(self._walk.delta(point) - self._walk.threshold)
-        slope = max(abs(point.slope), 1e-300)
-        return float((SLOPE_ERROR * missing + LEFT * AT_END * self._walk.threshold) / slope)
 
     def _closed(self, point: ProfilePoint, end: float, error: float) -> Side:
         return self._side(SideStatus.CLOSED, point, end, error)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.nuisances import NuisanceEstimate, group_name
+from identknee.identify.optimum import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_description
 from identknee.report.drawing import Drawing

@@ -8,8 +8,8 @@ from typing_extensions import override
 
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
-from identknee.diagnosis.folds import FLEXION
-from identknee.diagnosis.refit import RivalState
+from identknee.diagnosis.fitting import RivalState
+from identknee.diagnosis.gain import FLEXION
 from identknee.diagnosis.score import Cell
 from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval

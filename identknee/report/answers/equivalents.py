@@ -6,7 +6,7 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.equivalents import Extrema
-from identknee.identify.extremum import ExtremumEnd
+from identknee.identify.region import ExtremumEnd
 from identknee.laxity.table import COORDINATES
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Band, Presenter

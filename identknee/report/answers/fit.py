@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
-from identknee.checks.fit_warnings import AT_END
+from identknee.checks.fit_checks import AT_END
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
 from identknee.report.presenter import Presenter, of_type, presenter_of

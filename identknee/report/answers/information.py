@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.geodesic import Boundary
-from identknee.identify.information import Information
+from identknee.identify.information import Boundary, Information
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.range import SDS_95, Range, Source

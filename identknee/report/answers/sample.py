@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.posterior.convergence import SampleOutcome
+from identknee.identify.posterior.posterior import SampleOutcome
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Band, Presenter
 from identknee.report.range import NOT_CONVERGED, Range, Source

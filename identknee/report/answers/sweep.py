@@ -6,9 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.basins import END, POLISHED, Recovery, Survey
 from identknee.identify.cliffs import CliffMap
-from identknee.identify.sweep import OUTCOMES
+from identknee.identify.sweep import END, OUTCOMES, POLISHED, Recovery, Survey
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.calibrate.starts import load_start
+from identknee.calibrate.fit import load_start
 from identknee.laxity.protocol import nominal_loads
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_points import distances

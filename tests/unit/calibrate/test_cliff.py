@@ -11,9 +11,9 @@ from problems import (
 )
 
 from identknee.calibrate import least_squares
-from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.fit import fit
 from identknee.calibrate.least_squares import descent_around_cliff
+from identknee.calibrate.problem import Evaluator
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 

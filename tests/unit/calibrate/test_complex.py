@@ -6,8 +6,8 @@ import pytest
 from numpy.typing import ArrayLike
 from problems import IG2, IG4, linear, sloppy_springs
 
-from identknee.calibrate.complex import Complex, minimise_by_complex
-from identknee.calibrate.evaluation import Evaluator
+from identknee.calibrate.population import Complex, minimise_by_complex
+from identknee.calibrate.problem import Evaluator
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 

@@ -7,8 +7,7 @@ import pytest
 from problems import ClosedForm, plain_parameters
 
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
-from identknee.calibrate.evaluation import Curvature, Evaluator, evaluate
-from identknee.calibrate.quantity import ParameterQuantity
+from identknee.calibrate.problem import Curvature, Evaluator, ParameterQuantity, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome

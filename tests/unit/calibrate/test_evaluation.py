@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, linear, sloppy_springs
 
-from identknee.calibrate.evaluation import Evaluator, SearchEnded, evaluate
+from identknee.calibrate.problem import Evaluator, SearchEnded, evaluate
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 

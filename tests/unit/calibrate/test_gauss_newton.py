@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from problems import ClosedForm, active_bounds, linear
 
-from identknee.calibrate.evaluation import Evaluation, evaluate
 from identknee.calibrate.least_squares import GaussNewton, gauss_newton
+from identknee.calibrate.problem import Evaluation, evaluate
 from identknee.runs.arrays import Array
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.calibrate.bounded_least_squares import KinkModels, minimise_max_model
-from identknee.calibrate.evaluation import Evaluation
+from identknee.calibrate.problem import Evaluation
 from identknee.runs.arrays import Array
 
 ANYWHERE = (np.full(2, -np.inf), np.full(2, np.inf))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import plain_parameters, sloppy_springs
 
-from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
+from identknee.calibrate.problem import ParameterQuantity, UserQuantity
 
 # Central differences with a step of 6e-6: its square.
 DIFFERENCES = 1e-9

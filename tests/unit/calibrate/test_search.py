@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from problems import linear
 
-from identknee.calibrate.evaluation import Evaluator, SearchEnded
-from identknee.calibrate.search import run_search, uniform_box
+from identknee.calibrate.population import run_search, uniform_box
+from identknee.calibrate.problem import Evaluator, SearchEnded
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import IG2, IG4, LIGAMENTS, REFERENCE
 
-from identknee.calibrate.starts import load_start, named_start, read_start, start_names
+from identknee.calibrate.fit import load_start, named_start, read_start, start_names
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.errors import InputError
 

@@ -3,9 +3,8 @@
 import numpy as np
 from problems import Linear
 
-from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.fit import Fit, fit, fit_student, student_scales
 from identknee.calibrate.problem import Problem
-from identknee.calibrate.student import fit_student, student_scales
 from identknee.model.parameters import ligament_parameters
 from identknee.runs.arrays import Array
 

@@ -9,8 +9,12 @@ from cli_runs import run
 from planted_conventions import PLANTED, clean_table
 
 import identknee as ik
-from identknee.checks.conventions import conventions_of, find_broken_convention
-from identknee.checks.data_checks import WORKS_ON, load_sign_findings
+from identknee.checks.table_checks import (
+    WORKS_ON,
+    conventions_of,
+    find_broken_convention,
+    load_sign_findings,
+)
 from identknee.laxity.protocol import LOADS
 from identknee.laxity.table import COORDINATES
 

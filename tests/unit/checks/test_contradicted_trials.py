@@ -8,7 +8,7 @@ from planted_conventions import NOISE, clean_table
 
 import identknee as ik
 from identknee.calibrate.fit import fit
-from identknee.checks.contradicted_trials import (
+from identknee.checks.table_checks import (
     contradicted_rows,
     end_point_findings,
     leave_one_out,

@@ -6,7 +6,7 @@ import numpy as np
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.checks.data_checks import frame_findings, load_findings
+from identknee.checks.table_checks import frame_findings, load_findings
 from identknee.laxity.table import Laxity, example_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity

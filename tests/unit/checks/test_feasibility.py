@@ -5,8 +5,8 @@ import pytest
 from problems import Cliff, linear
 from scipy.stats import norm
 
-from identknee.calibrate.evaluation import evaluate
-from identknee.checks.fit_warnings import feasibility_findings, infeasible_proportion
+from identknee.calibrate.problem import evaluate
+from identknee.checks.fit_checks import feasibility_findings, infeasible_proportion
 from identknee.identify.posterior.density import newton_kernel
 from identknee.runs.findings import Severity
 

@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from identknee.calibrate.fit import Fit, fit
-from identknee.checks.fit_warnings import (
-    IMPROBABLE,
+from identknee.checks.fit_checks import (
     AlternativeFit,
     bound_findings,
     fit_from_alternative_start,
@@ -18,6 +17,7 @@ from identknee.checks.fit_warnings import (
     too_few_findings,
     unstated_misfit_findings,
 )
+from identknee.checks.table_checks import IMPROBABLE
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity, by_severity, finding_lines

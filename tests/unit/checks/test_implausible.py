@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.checks.plausibility import implausible_findings
+from identknee.checks.fit_checks import implausible_findings
 from identknee.model.quantities import tensions_of
 
 

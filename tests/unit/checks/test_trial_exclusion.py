@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_knee import small_protocol
 
-from identknee.checks.trial_exclusion import ExclusionResult, TrialExclusion
+from identknee.checks.usable_trials import ExclusionResult, TrialExclusion
 from identknee.laxity.table import Laxity
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals

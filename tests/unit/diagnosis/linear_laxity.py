@@ -6,7 +6,7 @@ import numpy as np
 from linear_data import everything
 from linear_data import protocol as trials
 
-from identknee.diagnosis.folds import Fold, Observations, held_out_folds
+from identknee.diagnosis.gain import Fold, Observations, held_out_folds
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import Protocol
 from identknee.model.parameters import Parameters

@@ -10,9 +10,16 @@ import pytest
 from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
 from scipy.stats import multivariate_normal
 
-from identknee.calibrate.evaluation import Evaluation
-from identknee.diagnosis import attribution as module
-from identknee.diagnosis.attribution import (
+from identknee.calibrate.problem import Evaluation
+from identknee.diagnosis import verdict as module
+from identknee.diagnosis.fitting import (
+    Refit,
+    expected_distance,
+    fit_base,
+    rivals_of,
+    without_causes,
+)
+from identknee.diagnosis.verdict import (
     MOST_AMPLITUDES,
     MOST_CAUSES,
     Attribution,
@@ -21,13 +28,6 @@ from identknee.diagnosis.attribution import (
     attribute,
     backward_elimination,
     refit_top_candidates,
-)
-from identknee.diagnosis.fitting import fit_base
-from identknee.diagnosis.refit import (
-    Refit,
-    expected_distance,
-    rivals_of,
-    without_causes,
 )
 from identknee.laxity.table import add_noise
 from identknee.model.effects.library import effect_named

@@ -17,11 +17,12 @@ from linear_laxity import (
 from scipy.optimize import approx_fprime
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.diagnosis.folds import FLEXION, Observations
 from identknee.diagnosis.gain import (
+    FLEXION,
     LEAST_LENGTH,
     LEAST_SPREAD,
     Discrepancy,
+    Observations,
     _Kernel,
     elpd_difference,
     fit_discrepancy,

@@ -7,8 +7,8 @@ import pytest
 from diagnoses import FRAME, diagnosed, short_data
 from posed_knees import posed_reference
 
+from identknee.diagnosis.fitting import Refit
 from identknee.diagnosis.investigation import investigate
-from identknee.diagnosis.refit import Refit
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.folder import read_subject, write_subject

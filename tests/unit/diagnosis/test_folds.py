@@ -5,7 +5,7 @@ import pytest
 from small_knee import small_protocol
 
 from identknee import example_laxity
-from identknee.diagnosis.folds import DIRECTION, EXTREMES, FLEXION, Fold, held_out_folds
+from identknee.diagnosis.gain import DIRECTION, EXTREMES, FLEXION, Fold, held_out_folds
 from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
 

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from small_knee import small_knee
 
 from identknee.diagnosis.fitting import FittedModel, best_fit_from
-from identknee.diagnosis.folds import FAMILIES, FLEXION
-from identknee.diagnosis.gain import Gain, ParameterChange, measure_gain
+from identknee.diagnosis.gain import FAMILIES, FLEXION, Gain, ParameterChange, measure_gain
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import add_noise

@@ -18,8 +18,16 @@ from scipy.optimize import least_squares
 from scipy.stats import multivariate_normal
 from tolerances import CLOSED_FORM
 
-from identknee.diagnosis.folds import DIRECTION, FAMILIES, FLEXION, Fold, Observations
-from identknee.diagnosis.gain import FoldStatus, elpd_difference, held_out
+from identknee.diagnosis.gain import (
+    DIRECTION,
+    FAMILIES,
+    FLEXION,
+    Fold,
+    FoldStatus,
+    Observations,
+    elpd_difference,
+    held_out,
+)
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.schema import summary_of

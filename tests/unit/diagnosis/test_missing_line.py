@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.diagnosis.fitting import best_fit_from
+from identknee.diagnosis.fitting import Refit, best_fit_from
 from identknee.diagnosis.misfit import smooth_patterns
 from identknee.diagnosis.missing_line import find_line
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.diagnosis.refit import Refit
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.structures import structure_at

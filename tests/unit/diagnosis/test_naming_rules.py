@@ -7,21 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.diagnosis import attribution as naming
-from identknee.diagnosis.attribution import (
+from identknee.diagnosis import verdict as naming
+from identknee.diagnosis.fitting import Rival, RivalState, could_matter
+from identknee.diagnosis.verdict import (
     MOST_AMPLITUDES,
     MOST_REFITS,
-    _promising,
-    attribute,
-    backward_elimination,
-)
-from identknee.diagnosis.refit import Rival, RivalState, could_matter
-from identknee.diagnosis.verdict import (
     NOISE_DEPENDENT,
     SEVERAL,
     UNTESTED,
     Conclusion,
     Verdict,
+    _promising,
+    attribute,
+    backward_elimination,
     conclude,
 )
 from identknee.runs.record import Outcome

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.fitting import best_fit_from
+from identknee.diagnosis.fitting import Refit, best_fit_from, refit
 from identknee.diagnosis.investigation import Investigation, investigate
-from identknee.diagnosis.refit import Refit, refit
 from identknee.diagnosis.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.library import effect_named

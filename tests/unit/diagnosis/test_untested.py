@@ -8,24 +8,22 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
-from identknee.calibrate.evaluation import Evaluation
+from identknee.calibrate.problem import Evaluation
 from identknee.checks import subject_checks
-from identknee.diagnosis import attribution as attribution_module
-from identknee.diagnosis import refit as refit_module
-from identknee.diagnosis.attribution import (
-    Attribution,
-    AttributionStep,
-    attribute,
-    refit_top_candidates,
-)
-from identknee.diagnosis.refit import Refit, RivalState, refit, rivals_of
+from identknee.diagnosis import fitting as refit_module
+from identknee.diagnosis import verdict as attribution_module
+from identknee.diagnosis.fitting import Refit, RivalState, refit, rivals_of
 from identknee.diagnosis.score import LEVEL
 from identknee.diagnosis.verdict import (
     SEVERAL,
     UNTESTED,
+    Attribution,
+    AttributionStep,
     Conclusion,
     Verdict,
+    attribute,
     conclude,
+    refit_top_candidates,
 )
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label

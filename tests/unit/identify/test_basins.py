@@ -7,8 +7,7 @@ import pytest
 from landscapes import BOX, Quadrant, Trench, TwoWells
 from problems import disc_in_the_way
 
-from identknee.identify.basins import NONE, find_basins, has_barrier
-from identknee.identify.sweep import sobol_starts, sweep
+from identknee.identify.sweep import NONE, find_basins, has_barrier, sobol_starts, sweep
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 

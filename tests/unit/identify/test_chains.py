@@ -4,7 +4,7 @@ import emcee
 import numpy as np
 import pytest
 
-from identknee.identify.posterior.convergence import (
+from identknee.identify.posterior.posterior import (
     autocorrelation_time,
     bulk_ess,
     effective_draws,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.identify.posterior.convergence import (
+from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
     SampleOutcome,
     StopRule,

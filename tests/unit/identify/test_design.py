@@ -8,8 +8,13 @@ from problems import ClosedForm, Linear, plain_parameters
 from trial_formulas import FormulaTrials, linear_trials
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, with_nuisance_priors, without_priors
-from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
+from identknee.calibrate.problem import (
+    ParameterQuantity,
+    Problem,
+    UserQuantity,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.identify.design import ChosenTrials, design, linearised
 from identknee.identify.design_criteria import (
     CRITERIA,

@@ -4,15 +4,20 @@ import numpy as np
 import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 
-from identknee.calibrate.quantity import UserQuantity
+from identknee.calibrate.problem import UserQuantity
 from identknee.identify.equivalents import (
     SEPARATION,
     Completeness,
     EquivalentSets,
     equivalents,
 )
-from identknee.identify.extremum import INSIDE_TOLERANCE, ExtremumEnd
-from identknee.identify.region import Region, noise_region, power_of_best_test
+from identknee.identify.region import (
+    INSIDE_TOLERANCE,
+    ExtremumEnd,
+    Region,
+    noise_region,
+    power_of_best_test,
+)
 from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import open_work

@@ -6,10 +6,14 @@ from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy
 from scipy.optimize import differential_evolution
 
 from identknee.calibrate.bounded_least_squares import solve_constrained
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.identify.extremum import ExtremumEnd, extremise, farthest_pair
-from identknee.identify.region import RegionView, noise_region
+from identknee.calibrate.problem import Evaluator, ParameterQuantity, UserQuantity
+from identknee.identify.region import (
+    ExtremumEnd,
+    RegionView,
+    extremise,
+    farthest_pair,
+    noise_region,
+)
 from identknee.runs.arrays import Array
 
 VALUE = 1e-6

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import NonlinearConstraint, minimize
 
-from identknee.identify.extremum import LocalModel, best_step
-from identknee.identify.region import Blocks
+from identknee.identify.region import Blocks, LocalModel, best_step
 
 # The barriers end with a gap of 1e-10 of a gain of about 1.
 GAIN = 1e-8

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import Linear, plain_parameters
 
-from identknee.identify.noise import with_estimated_noise
+from identknee.identify.optimum import with_estimated_noise
 from identknee.runs.arrays import IntArray
 
 

@@ -8,9 +8,8 @@ import pytest
 from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.problem import restricted
-from identknee.identify import geodesic
-from identknee.identify.geodesic import Boundary, Geodesic, geodesics
-from identknee.identify.information import spectrum
+from identknee.identify import information as geodesic
+from identknee.identify.information import Boundary, Geodesic, geodesics, spectrum
 from identknee.runs.arrays import Array
 
 # Steps of a tenth of a radian at most by the midpoint rule.

@@ -9,8 +9,7 @@ from scipy.special import log_ndtr, ndtri_exp
 from tolerances import CLOSED_FORM
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import ProblemWithPriors
+from identknee.calibrate.problem import Evaluator, ProblemWithPriors
 from identknee.identify.laplace import (
     Laplace,
     box_intervals,

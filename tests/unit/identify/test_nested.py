@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from problems import Linear, disc_in_the_way, plain_parameters
 
-from identknee.identify.posterior.convergence import StopRule
-from identknee.identify.posterior.nested import nested_posterior, quantile_differences
-from identknee.identify.posterior.sample import sample
+from identknee.identify.posterior.posterior import StopRule
+from identknee.identify.posterior.sample import nested_posterior, quantile_differences, sample
 
 pytest.importorskip("dynesty")
 # In joint Monte Carlo standard errors: six quantiles together stay within at 99.7 % each.

@@ -7,8 +7,8 @@ import pytest
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import with_all_priors, with_nuisance_priors, without_priors
-from identknee.checks.fit_warnings import nuisance_findings
-from identknee.identify.nuisances import nuisance_estimates, nuisance_groups
+from identknee.checks.fit_checks import nuisance_findings
+from identknee.identify.optimum import nuisance_estimates, nuisance_groups
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 

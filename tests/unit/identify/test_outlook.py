@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from problems import Linear, plain_parameters
 
-from identknee.identify.posterior.convergence import (
+from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
     StopRule,
     expected_end,

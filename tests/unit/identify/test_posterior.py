@@ -8,7 +8,7 @@ from problems import disc_in_the_way, linear, plain_parameters, sloppy_springs
 from scipy.integrate import quad
 from scipy.stats import lognorm, norm
 
-from identknee.calibrate.evaluation import evaluate
+from identknee.calibrate.problem import evaluate
 from identknee.identify.posterior.density import (
     LogPosterior,
     infeasible_prior_mass,

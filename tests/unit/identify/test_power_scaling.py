@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from problems import Linear, plain_parameters
 
-from identknee.identify.posterior.convergence import StopRule
-from identknee.identify.posterior.posterior import Posterior, prior_sensitivity
+from identknee.identify.posterior.posterior import Posterior, StopRule, prior_sensitivity
 from identknee.identify.posterior.sample import sample
 
 QUICK = StopRule(drift=np.inf)

@@ -8,9 +8,13 @@ import pytest
 from problems import Cliff, ClosedForm, kinked, linear, plain_parameters, sloppy_springs
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.evaluation import Evaluator
-from identknee.calibrate.problem import Problem, with_bounds
-from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
+from identknee.calibrate.problem import (
+    Evaluator,
+    ParameterQuantity,
+    Problem,
+    UserQuantity,
+    with_bounds,
+)
 from identknee.identify.profile.profile import curve_slopes, profile
 from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus
 from identknee.identify.profile.walk import ProfileContext

@@ -6,8 +6,7 @@ from problems import ClosedForm, linear, plain_parameters
 
 from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.pairs import profile_pair
-from identknee.identify.profile.result import SideStatus
-from identknee.identify.profile.thresholds import chi2_threshold
+from identknee.identify.profile.result import SideStatus, chi2_threshold
 
 # Of the threshold: twice the tolerance of an end's signed root, and what the fit may leave.
 END = 4e-4

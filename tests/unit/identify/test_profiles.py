@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, Linear, linear, plain_parameters, rosenbrock
 
-from identknee.calibrate.quantity import ParameterQuantity, RestrictedQuantity, UserQuantity
+from identknee.calibrate.problem import ParameterQuantity, RestrictedQuantity, UserQuantity
 from identknee.identify.profile.profile import (
     other_optima,
     polish_optimum,

@@ -5,8 +5,7 @@ import pytest
 from landscapes import Quadrant, TwoWells
 from scipy.special import expit, logit
 
-from identknee.identify.basins import is_recovered, radius, recovery
-from identknee.identify.sweep import sweep
+from identknee.identify.sweep import is_recovered, radius, recovery, sweep
 
 SHELLS = np.linspace(0.0, 6.0, 13)
 

@@ -18,8 +18,7 @@ from problems import (
 from scipy.integrate import quad
 
 from identknee.calibrate.problem import restricted
-from identknee.identify.posterior.convergence import SampleOutcome, StopRule
-from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, Linear, plain_parameters, sloppy_springs
 
-from identknee.identify.structure import Structure, check_structure
+from identknee.identify.information import Structure, check_structure
 from identknee.runs.arrays import Array
 
 

@@ -7,10 +7,10 @@ import pytest
 from problems import ClosedForm, plain_parameters
 from scipy.optimize import check_grad
 
-from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import LogPosterior
+from identknee.identify.posterior.moves import Surrogate, trained_surrogate
+from identknee.identify.posterior.posterior import StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
-from identknee.identify.posterior.surrogate import Surrogate, trained_surrogate
 from identknee.runs.arrays import Array
 
 N = 5

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from landscapes import Quadrant, TwoWells
 
-from identknee.identify.basins import survey
-from identknee.identify.sweep import shell_starts, sweep
+from identknee.identify.sweep import shell_starts, survey, sweep
 
 TARGET = np.array([2.0, 0.0])
 

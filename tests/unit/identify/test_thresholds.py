@@ -8,9 +8,8 @@ import pytest
 import scipy.stats
 from problems import Linear, plain_parameters
 
-from identknee.calibrate.problem import Problem
-from identknee.calibrate.quantity import ParameterQuantity
-from identknee.identify.profile.thresholds import (
+from identknee.calibrate.problem import ParameterQuantity, Problem
+from identknee.identify.profile.result import (
     BootstrapStatistics,
     bootstrap_statistics,
     chi2_threshold,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identknee.identify.basins import unseen_mass
+from identknee.identify.sweep import unseen_mass
 
 REPLICATES = 400
 

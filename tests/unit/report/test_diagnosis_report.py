@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, answered, diagnosed
 
+from identknee.diagnosis.fitting import RivalState, refit
 from identknee.diagnosis.investigation import Investigation
 from identknee.diagnosis.isolability import Distances
 from identknee.diagnosis.missing_line import LineFinding
-from identknee.diagnosis.refit import RivalState, refit
 from identknee.diagnosis.verdict import Conclusion, Verdict
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES

@@ -5,8 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from problems import Linear, plain_parameters
 
-from identknee.identify.posterior.convergence import StopRule
-from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.posterior import Posterior, StopRule
 from identknee.identify.posterior.sample import sample
 from identknee.report.sample_figures import (
     corner_figure,

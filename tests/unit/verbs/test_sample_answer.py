@@ -9,8 +9,7 @@ import pytest
 from problems import Cliff, Linear, linear, plain_parameters
 from report_folders import write_given
 
-from identknee.identify.posterior.convergence import SampleOutcome, StopRule
-from identknee.identify.posterior.posterior import Posterior
+from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import sample
 from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of

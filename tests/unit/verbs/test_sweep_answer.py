@@ -9,9 +9,8 @@ import pytest
 from problems import linear, wall_before_the_minimum
 from report_folders import write_given
 
-from identknee.identify.basins import survey
 from identknee.identify.cliffs import map_cliffs
-from identknee.identify.sweep import sobol_starts, sweep
+from identknee.identify.sweep import sobol_starts, survey, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.printer import terminal_lines

@@ -10,7 +10,7 @@ from posed_knees import posed_reference
 from small_knee import small_knee, small_protocol
 from tolerances import SAME_POSE
 
-from identknee.calibrate.starts import named_start
+from identknee.calibrate.fit import named_start
 from identknee.model import laxity_model as joint
 from identknee.model.effects.library import choice_of, effect_named, effects_of, library, values_of
 from identknee.model.effects.structures import (

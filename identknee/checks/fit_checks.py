@@ -1,21 +1,40 @@
-"""Warnings about a fit: lack of fit, active bounds, starts that disagree, nuisances, lost sets."""
+"""Checks of a fit: misfit, bounds, starts, forces that no knee has; and all checks in one pass."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc
 
-from identknee.calibrate.evaluation import evaluate
-from identknee.calibrate.fit import Fit, fit
-from identknee.calibrate.problem import Problem, typical_steps
-from identknee.calibrate.starts import named_start, start_names
+from identknee.calibrate.fit import Fit, fit, named_start, start_names
+from identknee.calibrate.problem import Problem, evaluate, typical_steps
+from identknee.checks.subject_checks import rim_findings, stability_findings
+from identknee.checks.table_checks import (
+    GROSS,
+    IMPROBABLE,
+    MOST_DEG,
+    MOST_MM,
+    convention_findings,
+    end_point_findings,
+    frame_findings,
+    load_findings,
+    load_sign_findings,
+    row_findings,
+)
 from identknee.identify.binomial_interval import Proportion, share
-from identknee.identify.nuisances import group_name, nuisance_estimates, nuisance_groups
+from identknee.identify.optimum import group_name, nuisance_estimates, nuisance_groups
 from identknee.identify.posterior.density import newton_kernel
+from identknee.laxity.protocol import LOADS, dominant_loads
+from identknee.laxity.table import Laxity
+from identknee.laxity.trial_words import load_words
+from identknee.mechanics.equilibria import TRANSITION_STRAIN
+from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
+from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
-from identknee.runs.findings import Finding, finding
+from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -27,11 +46,6 @@ from identknee.runs.words import (
     unit_of,
 )
 
-# A misfit that noise alone would leave less often than this is doubtful, and one that is so many
-# times what noise leaves (three times its standard deviation) speaks of a mistake in the data.
-IMPROBABLE, GROSS = 1e-3, 9.0
-# Twice what simple laxity devices leave against a robot, about 1 mm and 2.5 deg.
-MOST_MM, MOST_DEG = 2.0, 5.0
 # Share of a parameter's range: this close to an end it lies on it.
 AT_END = 1e-6
 # Rise of the deviance: fits as good as one another at 95 %, and fits that are the same.
@@ -167,7 +181,12 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
     if rivals.size:
         farthest = rivals[int(np.argmax(away[rivals]))]
         rise = rises[farthest]
-        names, apart = _changes(thetas[best], thetas[farthest], parameters)
+        # The two parameters that differ most in typical steps, and both values in words.
+        theta, other = thetas[best], thetas[farthest]
+        size = np.abs(other - theta) / typical_steps(parameters) * parameters.is_of_interest
+        most = np.argsort(-size)[: min(2, int(parameters.is_of_interest.sum()))]
+        names = [parameters.names[i] for i in most]
+        apart = [two_values_words(parameters.names[i], theta[i], other[i]) for i in most]
         sentence = (
             f"Starts disagree: {rivals.size} of {k} ended at other parameters that also fit at "
             f"the 95 % level ({listed(apart)}; misfit higher by {rise:.2g}). See: identknee profile"
@@ -190,15 +209,6 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
     return (finding("lowest-found-once", "starts", values, sentence=sentence),)
 
 
-def _changes(theta: Array, other: Array, parameters: Parameters) -> tuple[list[str], list[str]]:
-    """Names of the two parameters that differ most in typical steps, and both values in words."""
-    size = np.abs(other - theta) / typical_steps(parameters)
-    asked = parameters.is_of_interest
-    most = np.argsort(-np.where(asked, size, 0.0))[: min(2, int(asked.sum()))]
-    names = [parameters.names[i] for i in most]
-    return names, [two_values_words(parameters.names[i], theta[i], other[i]) for i in most]
-
-
 @declared
 class AlternativeFit:
     """Where least squares from another start ended.
@@ -206,7 +216,7 @@ class AlternativeFit:
     Attributes
     ----------
     name
-        Name of the start, as for `identknee.calibrate.starts.named_start`.
+        Name of the start, as for `identknee.calibrate.fit.named_start`.
     first, second
         The doubtful fit, and the one from this start.
     """
@@ -307,17 +317,6 @@ def infeasible_proportion(
     They are drawn from the normal density around theta whose precision is that of the data and the
     priors, within the bounds.
 
-    Parameters
-    ----------
-    problem
-        Residuals in units of their noise.
-    theta
-        A parameter set with a prediction, shape ``(n,)``.
-    n_draws
-        Number of draws, one simulation each.
-    seed
-        Seed of the draws.
-
     Raises
     ------
     ValueError
@@ -332,8 +331,7 @@ def infeasible_proportion(
     steps = np.linalg.solve(kernel.factor.T, draws.T).T
     thetas = parameters.from_working(parameters.to_working(evaluation.theta) + steps)
     inside = np.clip(thetas, parameters.lower, parameters.upper)
-    lost = sum(not np.isfinite(problem.residuals(x)).all() for x in inside)
-    return share(lost, n_draws)
+    return share(sum(not np.isfinite(problem.residuals(x)).all() for x in inside), n_draws)
 
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
@@ -352,7 +350,7 @@ def nuisance_findings(
     Parameters
     ----------
     problem, theta
-        As in `identknee.identify.nuisances.nuisance_estimates`.
+        As in `identknee.identify.optimum.nuisance_estimates`.
     hint
         Where a reader finds more, as the end of the sentence.
     """
@@ -404,3 +402,191 @@ def shift_words(name: str) -> tuple[str, str]:
     if what[-1] in ("x", "y", "z"):
         return unit, f" {'along' if unit == 'mm' else 'about'} {what[-1]}"
     return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
+
+
+# Mean load at which each fails [N]; lines whose names begin so are parts of it.
+FAILURE_N = {
+    "ACL": (2160.0, "Woo 1991, doi:10.1177/036354659101900303"),
+    "PCL": (1878.0, "both bundles, Race 1994, doi:10.1016/0021-9290(94)90028-0"),
+    "LCL": (295.0, "LaPrade 2005, doi:10.1177/0363546504274143"),
+    "MCL": (557.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
+    "sMCL": (557.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
+    "dMCL": (101.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
+}
+# Specimens differ: twice the mean is beyond any, and no laxity test should come near the mean.
+BEYOND = 2.0
+# Ligament tissue fails at about this strain [%].
+FAILURE_PCT, STRAIN_SOURCE = 15.0, "Butler 1986, doi:10.1016/0021-9290(86)90019-9"
+# Balanced knees without varus moment press both compartments alike to within 67 N; one side alone
+# with so much more [N] and less than such a share on the other is none.
+APART_N, LEAST_SHARE = 400.0, 0.1
+CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2013.10.020"
+VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
+
+
+def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
+    """Forces, strains and contact of a fit that lie beyond published values of any knee.
+
+    Trials without equilibrium are left out.
+    """
+    if not prediction.is_converged.any():
+        return ()
+    tension = tensions_of(model, prediction)
+    return (
+        *_forces(model, tension),
+        *_strains(model, prediction, tension),
+        *_contact(model, prediction),
+    )
+
+
+def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
+    names = [x.name for x in model.knee.ligaments]
+    for ligament, (failure, source) in FAILURE_N.items():
+        own = [k for k, name in enumerate(names) if name.startswith(ligament)]
+        whole = tension[:, own].sum(axis=1)
+        if not own or np.nanmax(whole) <= BEYOND * failure:
+            continue
+        worst = int(np.nanargmax(whole))
+        values = {
+            "ligament": ligament,
+            "force_N": whole[worst],
+            "load": load_words(model.protocol, worst),
+            "failure_N": failure,
+            "source": source,
+        }
+        yield finding("implausible-force", ligament, values)
+
+
+def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iterator[Finding]:
+    """From the force, which has one strain where it is not zero."""
+    stiffness = PER_KN * model.tied.stiffness(prediction.theta[: model.tied.n])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = tension / stiffness
+    strain = np.where(
+        share > TRANSITION_STRAIN,
+        share + TRANSITION_STRAIN,
+        2.0 * np.sqrt(TRANSITION_STRAIN * share),
+    )
+    for k, ligament in enumerate(model.knee.ligaments):
+        own = 100.0 * strain[:, k]
+        if not np.isfinite(own).any() or np.nanmax(own) <= FAILURE_PCT:
+            continue
+        worst = int(np.nanargmax(own))
+        values = {
+            "ligament": ligament.name,
+            "strain_pct": own[worst],
+            "load": load_words(model.protocol, worst),
+            "failure_pct": FAILURE_PCT,
+            "source": STRAIN_SOURCE,
+        }
+        yield finding("implausible-strain", ligament.name, values)
+
+
+def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
+    straight = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
+    forces = prediction.centres[straight, :, 0]
+    if not forces.size:
+        return
+    medial, lateral = np.median(forces, axis=0)
+    if abs(medial - lateral) <= APART_N or min(medial, lateral) > LEAST_SHARE * (medial + lateral):
+        return
+    compression = -float(np.median(model.protocol.loads[straight, DISTRACTION]))
+    values = {
+        "medial_N": medial,
+        "lateral_N": lateral,
+        "compression_N": compression,
+        "n_trials": int(straight.sum()),
+        "source": CONTACT_SOURCE,
+    }
+    yield finding("one-sided-contact", "contact", values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fitted:
+    """A fit to be checked.
+
+    Attributes
+    ----------
+    model
+        The model of the data.
+    laxity, table
+        The data that the fit rests on, and the whole table with the trials that it does not.
+    start, prediction
+        Parameters of the model where the search began, shape ``(p,)``, and the prediction of the
+        model where it ended.
+    held
+        Names of parameters that were not asked for: fixed ones and nuisances.
+    misfit
+        What was found of the misfit and of active bounds.
+    """
+
+    model: LaxityModel
+    laxity: Laxity
+    table: Laxity
+    start: Array
+    prediction: Prediction
+    held: Sequence[str]
+    misfit: tuple[Finding, ...]
+
+
+def check_fit(
+    fitted: Fitted,
+    others: Sequence[Finding] = (),
+    *,
+    second: Callable[[], AlternativeFit] | None = None,
+) -> tuple[Finding, ...]:
+    """What speaks against a fit, the gravest first.
+
+    Where the misfit is more than noise, or a bound is active, conventions of the table are looked
+    at first: a broken one explains trials that contradict one another, which are then not listed.
+    Where none is broken, a second search tells a bad start from bad data.
+
+    Parameters
+    ----------
+    fitted
+        The fit.
+    others
+        What else was found, such as trials lost and starts that disagree.
+    second
+        Makes the second search; None where the fit is the best of several already.
+    """
+    model, laxity, theta = fitted.model, fitted.laxity, fitted.prediction.theta
+    found = [
+        *others,
+        *fitted.misfit,
+        *stability_findings(model),
+        *rim_findings(model.protocol.trials, fitted.prediction),
+        *implausible_findings(model, fitted.prediction),
+    ]
+    table = table_findings(model, fitted.table)
+    is_doubtful = any(x.severity is not Severity.INFO for x in fitted.misfit)
+    if is_doubtful:
+        if conventions := convention_findings(model, laxity, fitted.start, theta):
+            return without_repeats((*conventions, *table, *found))
+        if second is not None:
+            search = second()
+            # What an end that is not the best leaves says nothing of data and model.
+            found = [x for x in found if not search.is_better or x not in fitted.misfit]
+            found.append(search.finding)
+    rows = row_findings(model, laxity, theta, fixed=fitted.held)
+    # Trials that the table alone contradicts, where fits begin at its poses.
+    named = {x.where for x in rows}
+    by_table = end_point_findings(fitted.table) if model.poses is not None else ()
+    by_table = tuple(x for x in by_table if x.where not in named)
+    return without_repeats((*table, *by_table, *rows, *found))
+
+
+def check_unfitted(
+    model: LaxityModel, laxity: Laxity, others: Sequence[Finding]
+) -> tuple[Finding, ...]:
+    """What the table alone says where no fit could begin, beside what else was found."""
+    trials = end_point_findings(laxity)
+    signs = load_sign_findings(laxity)
+    return without_repeats((*signs, *table_findings(model, laxity), *trials, *others))
+
+
+def table_findings(model: LaxityModel, laxity: Laxity) -> tuple[Finding, ...]:
+    """What is wrong with the whole table; of frames and signs where fits begin at its poses."""
+    if model.poses is None:
+        return load_findings(laxity)
+    return (*frame_findings(model), *load_sign_findings(laxity), *load_findings(laxity))
