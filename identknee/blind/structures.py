@@ -129,7 +129,8 @@ def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
     A percent of strain spread goes with 0.5 mm of distance of the insertions from the middle.
     """
     split = (scene.places.front, scene.places.rear, scene.places.lateral)
-    aside = _directions(generator, (len(split), 2))
+    vectors = generator.normal(size=(*((len(split), 2)), 3))
+    aside: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         lines, others = experiment.lines.copy(), []
@@ -358,13 +359,6 @@ def _around(
 def _about_y(angle: float) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-
-
-def _directions(generator: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Random unit vectors, shape ``(*shape, 3)``."""
-    vectors = generator.normal(size=(*shape, 3))
-    units: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return units
 
 
 def _strain(scene: Scene, generator: np.random.Generator) -> float:

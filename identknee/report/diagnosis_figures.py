@@ -85,7 +85,10 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
         scores[row, column] = x.score
         _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK * largest)
         if x.p_value <= LEVEL:
-            _frame_cell(axes, column, row)
+            corners = np.array(
+                [[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]]
+            )
+            axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
     limit = max(5.0, float(np.nanmax(np.abs(scores), initial=0.0)))
     axes.set_facecolor("0.85")
     image = axes.imshow(scores, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto")
@@ -147,11 +150,24 @@ def residuals_figure(
     grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
     for column, curve in enumerate(curves):
         for axes, i in zip(grid[:, column], rows, strict=True):
-            _draw_residuals(axes, curve, residuals[:, i], sd[:, i])
+            spread = 2.0 * sd[:, i][curve.trials]
+            axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            axes.plot(curve.load, residuals[:, i][curve.trials], "o", color=BLACK, markersize=2.8)
+            axes.tick_params(labelsize=TINY)
+            bare(axes)
             for k, change in enumerate(changes.values()):
                 values = change[curve.trials, i]
                 axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
-        grid[0, column].set_title(_curve_title(protocol, curve), fontsize=SMALL)
+        trial, axis = curve.trials[0], _axis(protocol, curve)
+        others = [
+            f"{load_label(i)} {x:g}"
+            for i, x in enumerate(protocol.loads[trial])
+            if i != axis and x != 0.0
+        ]
+        grid[0, column].set_title(
+            "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others]), fontsize=SMALL
+        )
         grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):
         axes.set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
@@ -211,7 +227,13 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
         places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
         # What is in the fit already has no score beside it.
         scores = [step.scores.get(x, 0.0) for x in order]
-        axes.barh(places, scores, height, color=COLOURS[k], label=_beside(step))
+        axes.barh(
+            places,
+            scores,
+            height,
+            color=COLOURS[k],
+            label=(f"with {' and '.join(step.beside)}" if step.beside else "without cause"),
+        )
         axes.axvline(step.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
     axes.set_yticks(range(len(order)), order, fontsize=SMALL)
     axes.set_ylim(len(order) - 0.4, -0.6)
@@ -293,7 +315,19 @@ def estimates_figure(
     for row, (quantity, label) in zip(grid, QUANTITIES.items(), strict=True):
         for axes, ligament in zip(row, ligaments, strict=True):
             for k, (name, tree) in enumerate(fits.items()):
-                _draw_estimate(axes, k, tree[ligament][quantity], name)
+                estimate = tree[ligament][quantity]
+                ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[
+                    :, None
+                ]
+                value, colour = estimate.value, COLOURS[k]
+                bars = np.abs(ends - value)
+                axes.errorbar(
+                    [k], [value], yerr=bars, fmt=MARKERS[k], color=colour, capsize=4, label=name
+                )
+                for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
+                    if end is None:
+                        # An open end has no bar but an arrow.
+                        axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
             if truth is not None and f"{ligament}.{quantity}" in truth:
                 true = truth[f"{ligament}.{quantity}"]
                 axes.axhline(true, color=BLACK, linewidth=1.0, label="truth")
@@ -337,41 +371,6 @@ def _estimates(
     }
 
 
-def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> None:
-    spread = 2.0 * sd[curve.trials]
-    axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
-    axes.axhline(0.0, color=GREY, linewidth=0.7)
-    axes.plot(curve.load, residuals[curve.trials], "o", color=BLACK, markersize=2.8)
-    axes.tick_params(labelsize=TINY)
-    bare(axes)
-
-
-def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
-    ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[:, None]
-    value, colour = estimate.value, COLOURS[k]
-    bars = np.abs(ends - value)
-    axes.errorbar([k], [value], yerr=bars, fmt=MARKERS[k], color=colour, capsize=4, label=label)
-    for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
-        if end is None:
-            # An open end has no bar but an arrow.
-            axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
-
-
-def _beside(step: StepScores) -> str:
-    return f"with {' and '.join(step.beside)}" if step.beside else "without cause"
-
-
-def _curve_title(protocol: Protocol, curve: Curve) -> str:
-    """Flexion, and the other loads where there are any."""
-    trial, axis = curve.trials[0], _axis(protocol, curve)
-    others = [
-        f"{load_label(i)} {x:g}"
-        for i, x in enumerate(protocol.loads[trial])
-        if i != axis and x != 0.0
-    ]
-    return "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others])
-
-
 def _axis(protocol: Protocol, curve: Curve) -> int:
     return int(np.argmax(np.ptp(protocol.loads[curve.trials], axis=0)))
 
@@ -384,8 +383,3 @@ def _words(coordinate: str) -> str:
 def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) -> None:
     color = "white" if is_dark else BLACK
     axes.text(column, row, text, ha="center", va="center", fontsize=TINY, color=color)
-
-
-def _frame_cell(axes: Axes, column: int, row: int) -> None:
-    corners = np.array([[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]])
-    axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)

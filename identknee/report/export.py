@@ -91,7 +91,15 @@ def polydata(
     whole = ET.SubElement(root, "PolyData")
     fields = ET.SubElement(whole, "FieldData")
     for name, texts in words.items():
-        _add_words(fields, name, texts)
+        element = ET.SubElement(
+            fields,
+            "DataArray",
+            type="String",
+            Name=name,
+            NumberOfTuples=str(len(texts)),
+            format="ascii",
+        )
+        element.text = " ".join(str(x) for word in texts for x in (*word.encode("utf-8"), 0))
     counts = {"NumberOfPoints": len(points), "NumberOfLines": len(lines)}
     counts["NumberOfPolys"] = len(triangles)
     piece = ET.SubElement(whole, "Piece", {name: str(n) for name, n in counts.items()})
@@ -125,19 +133,6 @@ def _add(parent: ET.Element, name: str, kind: str, values: Array | IntArray, **m
     told = {"type": kind, "Name": name, "format": "binary", **more}
     element = ET.SubElement(parent, "DataArray", told)
     element.text = (base64.b64encode(sizes) + base64.b64encode(block)).decode("ascii")
-
-
-def _add_words(parent: ET.Element, name: str, words: Sequence[str]) -> None:
-    """Words as the numbers of their bytes, each ended by a zero."""
-    element = ET.SubElement(
-        parent,
-        "DataArray",
-        type="String",
-        Name=name,
-        NumberOfTuples=str(len(words)),
-        format="ascii",
-    )
-    element.text = " ".join(str(x) for word in words for x in (*word.encode("utf-8"), 0))
 
 
 COLLECTION = "trials.pvd"
@@ -211,7 +206,12 @@ class _Poses:
         places = np.concatenate([*lines, *sheets])
         numbers = [np.full(len(x.faces), i) for i, x in enumerate(surfaces)]
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
-        tension, strain = self._line_tensions(trial)
+        pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
+        found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
+        length = line_lengths(self._lines, float(flexion[0]), pose[0])
+        slack = np.asarray(self._lines.reference_length) / (1.0 + self._strain)
+        tension, strain = found.tensions[0], 100.0 * (length / slack - 1.0)
+        own = [x.name for x in self._model.knee.ligaments]
         return polydata(
             knee.in_scan_frame(knee.femur_frame.to_common(self._field.to_field(places))),
             np.column_stack([np.arange(n), n + np.arange(n)]),
@@ -219,16 +219,20 @@ class _Poses:
             {
                 "part": np.concatenate([len(BONES) + np.arange(n), *numbers]),
                 "gap_mm": np.r_[empty, gaps],
-                "pressure_MPa": np.r_[empty, self._pressure(gaps)],
+                "pressure_MPa": np.r_[
+                    empty, (self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0])
+                ],
                 "tension_N": np.r_[tension, none],
                 "strain_pct": np.r_[strain, none],
             },
-            {"parts": [*BONES, *self._names(n)], "trial": [self._model.protocol.trials[trial]]},
+            {
+                "parts": [
+                    *BONES,
+                    *[*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))],
+                ],
+                "trial": [self._model.protocol.trials[trial]],
+            },
         )
-
-    def _names(self, n: int) -> list[str]:
-        own = [x.name for x in self._model.knee.ligaments]
-        return [*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))]
 
     def _contact_gaps(self, placement: Placement) -> list[Array]:
         """Distance of the centre of each face from the other bone [mm], by bone."""
@@ -240,17 +244,6 @@ class _Poses:
             for own, x in zip(self._tibia, knee.tibia, strict=True)
         ]
         return [to_tibia, *(_to_femur(self._field, x) for x in tibial)]
-
-    def _pressure(self, gaps: Array) -> Array:
-        return self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
-
-    def _line_tensions(self, trial: int) -> tuple[Array, Array]:
-        """Tension [N] and strain [%] of every line."""
-        pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
-        found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
-        length = line_lengths(self._lines, float(flexion[0]), pose[0])
-        slack = np.asarray(self._lines.reference_length) / (1.0 + self._strain)
-        return found.tensions[0], 100.0 * (length / slack - 1.0)
 
 
 def _to_femur(field: DistanceField, places: Array) -> Array:
@@ -390,7 +383,18 @@ def export_knee(
     folder = write_subject(written, out)
     others = []
     if results:
-        others.append(_write_table(knee, results, folder))
+        latest = _latest(results)
+        answer = latest.answer
+        stated = with_stated_uncertainty_of(knee, answer)
+        parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
+        settings = {} if answer.record is None else answer.record.settings
+        table = parameter_table(
+            parameters,
+            fitted_values(answer),
+            ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
+            fixed=settings.get("fixed") or (),
+        )
+        others.append(write_atomically(folder / TABLE, table))
     if osim or source is not None:
         others.append(write_opensim(knee_as_fitted(written), folder, source=source))
     if vtk:
@@ -459,22 +463,6 @@ def _rank(result: Result) -> int:
     """How much the parameter set of the result counts."""
     verb = verb_named(result.verb)
     return 0 if verb is None else verb.parameter_rank
-
-
-def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
-    """The parameters, with what all results of the same data say of them."""
-    latest = _latest(results)
-    answer = latest.answer
-    stated = with_stated_uncertainty_of(knee, answer)
-    parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
-    settings = {} if answer.record is None else answer.record.settings
-    table = parameter_table(
-        parameters,
-        fitted_values(answer),
-        ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
-        fixed=settings.get("fixed") or (),
-    )
-    return write_atomically(folder / TABLE, table)
 
 
 def _write_trials(

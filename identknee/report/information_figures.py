@@ -69,11 +69,13 @@ def eigenvectors_figure(found: Information) -> Figure:
                     color="white" if abs(share) > 0.7 else "black",
                 )
     axes.set_yticks(range(n), [label_without_unit(x) for x in found.parameter_names])
-    axes.set_xticks(range(n), [_short_label(value) for value in found.eigenvalues])
+    axes.set_xticks(
+        range(n),
+        [
+            (f"{value:.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}")
+            for value in found.eigenvalues
+        ],
+    )
     axes.set_xlabel("eigenvalue, stiff to sloppy")
     figure.colorbar(image, ax=axes, label="share of one scaled unit")
     return figure
-
-
-def _short_label(value: float) -> str:
-    return f"{value:.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}"

@@ -3,14 +3,15 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from markupsafe import escape
+
 from identknee.calibrate.starts import load_start
 from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.model.model_for_tests import model_for_tests
 from identknee.report.notebook import result_of
-from identknee.report.page.markup import element
-from identknee.report.page.page import document
+from identknee.report.page.markup import document
 from identknee.report.page.results import Findings
-from identknee.report.page.viewer import KneeScene, model_scene, scene_of, viewer_html
+from identknee.report.page.viewer import model_scene, scene_of, viewer_html
 from identknee.runs.files import PathLike, write_atomically
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -35,14 +36,9 @@ class Scene3D:
         return write_atomically(Path(path), self.html)
 
     def _repr_html_(self) -> str:
-        return element(
-            "iframe",
-            "",
-            srcdoc=self.html,
-            title="The knee in three dimensions",
-            width="100%",
-            height=HEIGHT,
-            style="border: 0",
+        return (
+            f'<iframe srcdoc="{escape(self.html)}" title="The knee in three dimensions" '
+            f'width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
         )
 
 
@@ -67,21 +63,14 @@ def scene_3d(
     ValueError
         If the answer says nothing about this knee's poses.
     """
-    scene = _of_subject(knee, protocol) if answer is None else _of_answer(knee, answer)
-    return Scene3D(html=document(f"Knee {knee.name}", viewer_html(scene), has_viewer=True))
-
-
-def _of_subject(knee: Knee, protocol: TrialsLike) -> KneeScene:
-    model = model_for_tests(knee, read_tests(protocol))
-    return model_scene(model, load_start("subject", model.parameters))
-
-
-def _of_answer(knee: Knee, answer: Answer) -> KneeScene:
-    result = result_of(answer)
-    scene = scene_of(Findings(subject=knee.name, results=(result,)), knee)
-    if scene is None:
+    if answer is None:
+        model = model_for_tests(knee, read_tests(protocol))
+        scene = model_scene(model, load_start("subject", model.parameters))
+    elif found := scene_of(Findings(subject=knee.name, results=(result_of(answer),)), knee):
+        scene = found
+    else:
         raise ValueError(
             f"{type(answer).__name__} holds no poses of this knee; give a fit, a simulation or "
             "a diagnosis of it, or no answer"
         )
-    return scene
+    return Scene3D(html=document(f"Knee {knee.name}", viewer_html(scene), has_viewer=True))

@@ -15,7 +15,6 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.fit import fit_statements
 from identknee.report.presenter import of_type, presenter_of, statements_of
 from identknee.report.range import NOT_CONVERGED, Range, Source
 from identknee.runs.outcome import Outcome
@@ -255,7 +254,7 @@ def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
 
 
 def _each(fits: Iterable[Calibration]) -> Iterator[str]:
-    yield from (next(fit_statements(x)).sentence for x in fits)
+    yield from (statements_of(x)[0].sentence for x in fits)
 
 
 def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
@@ -401,7 +400,16 @@ class Overview:
 
 def overview(answers: Sequence[Answer]) -> Overview:
     """What these answers, all of one data set, say together."""
-    trials = _trial_words(answers)
+    trials: dict[str, str] = {}
+    for answer in answers:
+        data = getattr(answer, "data", None)
+        if isinstance(data, Laxity):
+            protocol = data.protocol
+            for name, flexion, loads in zip(
+                protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
+            ):
+                values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
+                trials[name] = trial_description(values)
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
@@ -415,21 +423,6 @@ def overview(answers: Sequence[Answer]) -> Overview:
         searches=searches_sentences(answers),
         next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
     )
-
-
-def _trial_words(answers: Sequence[Answer]) -> dict[str, str]:
-    """Loads and flexion of each trial in words, by its name."""
-    found: dict[str, str] = {}
-    for answer in answers:
-        data = getattr(answer, "data", None)
-        if isinstance(data, Laxity):
-            protocol = data.protocol
-            for name, flexion, loads in zip(
-                protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
-            ):
-                values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
-                found[name] = trial_description(values)
-    return found
 
 
 def _shown(ranges: Mapping[str, Sequence[Range]]) -> Iterator[tuple[str, Sequence[Range]]]:

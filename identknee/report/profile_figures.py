@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.arrays import Array
 from identknee.runs.words import label_without_unit
 
 # Nested sets beside the profile's own.
@@ -34,7 +34,40 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
     """
     figure, panels = _panels(len(profiles), 2.3)
     for axes, profile in zip(panels, profiles, strict=False):
-        _draw_profile(axes, profile)
+        top = HEADROOM * profile.threshold
+        for branch in np.unique(profile.branches):
+            here = profile.branches == branch
+            marker, colour = MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)]
+            rows = np.column_stack([profile.values, profile.deltas, profile.slopes])[here]
+            places, heights = [rows[:1, 0]], [rows[:1, 1]]
+            for left, right in pairwise([(float(a), float(b), float(c)) for a, b, c in rows]):
+                between = np.linspace(left[0], right[0], PER_SEGMENT + 1)[1:]
+                places.append(between)
+                heights.append(np.array([cubic(x, left, right) for x in between]))
+            axes.plot(
+                *(np.concatenate(places), np.concatenate(heights)), color=colour, linewidth=1.2
+            )
+            axes.plot(
+                profile.values[here], profile.deltas[here], marker, color=colour, markersize=3.5
+            )
+        axes.axhline(profile.threshold, color=GREY, linestyle="--", linewidth=0.9)
+        for interval in profile.intervals:
+            low, high = _drawn(interval, profile)
+            axes.axvspan(low, high, color=COLOURS[5], alpha=0.18, linewidth=0)
+            for end, place, turn in ((interval[0], low, -1), (interval[1], high, 1)):
+                if end is None:
+                    axes.annotate(
+                        "open",
+                        (place, 0.55 * profile.threshold),
+                        fontsize=7,
+                        ha="left" if turn < 0 else "right",
+                    )
+        axes.set_ylim(-0.05 * top, top)
+        verdict = profile.verdict.value.replace("_", " ")
+        words = label_without_unit(profile.name)
+        label = f"{words} [{profile.unit}]" if profile.unit else words
+        axes.set_title(f"{label}\n{verdict}".replace(" in ", "\nin "), fontsize=8)
+        _plain(axes)
     for axes in panels[::COLUMNS]:
         axes.set_ylabel("rise of deviance")
     return figure
@@ -63,7 +96,42 @@ def intervals_figure(
     grid = figure.subplots(len(groups), squeeze=False, height_ratios=heights)[:, 0]
     for axes, unit, group in zip(grid, units, groups, strict=True):
         for row, profile in enumerate(group):
-            _draw_sets(axes, profile, row)
+            for thickness, (level, intervals) in zip(
+                THICKNESSES, nested(profile).items(), strict=False
+            ):
+                for interval in intervals:
+                    axes.plot(
+                        _drawn(interval, profile),
+                        [row, row],
+                        color=COLOURS[0],
+                        alpha=0.75,
+                        linewidth=thickness,
+                        solid_capstyle="butt",
+                        label=f"{100 * level:g} %",
+                    )
+            for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
+                if side.end is None:
+                    is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
+                    word = "the model ends" if is_model else "open"
+                    shape = "X" if is_model else marker
+                    axes.plot(
+                        side.reached,
+                        row,
+                        shape,
+                        color=COLOURS[1],
+                        markersize=6,
+                        label=word,
+                        zorder=4,
+                    )
+            axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
+            verdict = profile.verdict.value.replace("_", " ")
+            axes.annotate(
+                f"{profile.optimum_value:.3g} {profile.unit}, {verdict}",
+                (1.01, row),
+                xycoords=("axes fraction", "data"),
+                va="center",
+                fontsize=8,
+            )
             true = (truth or {}).get(profile.name)
             if true is not None:
                 axes.plot(true, row, "x", color=COLOURS[1], markersize=6, label="truth", zorder=4)
@@ -80,37 +148,6 @@ def intervals_figure(
         named.values(), list(named), loc="outside upper center", ncols=6, frameon=False, fontsize=8
     )
     return figure
-
-
-def _draw_sets(axes: Axes, profile: Profile, row: int) -> None:
-    """The nested sets of one quantity, its optimum, and its open ends."""
-    for thickness, (level, intervals) in zip(THICKNESSES, nested(profile).items(), strict=False):
-        for interval in intervals:
-            axes.plot(
-                _drawn(interval, profile),
-                [row, row],
-                color=COLOURS[0],
-                alpha=0.75,
-                linewidth=thickness,
-                solid_capstyle="butt",
-                label=f"{100 * level:g} %",
-            )
-    for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
-        if side.end is None:
-            is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
-            word = "the model ends" if is_model else "open"
-            shape = "X" if is_model else marker
-            axes.plot(
-                side.reached, row, shape, color=COLOURS[1], markersize=6, label=word, zorder=4
-            )
-    axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
-    axes.annotate(
-        f"{profile.optimum_value:.3g} {profile.unit}, {profile.verdict.value.replace('_', ' ')}",
-        (1.01, row),
-        xycoords=("axes fraction", "data"),
-        va="center",
-        fontsize=8,
-    )
 
 
 def smooth_edge(edge: Array) -> Array:
@@ -132,42 +169,6 @@ def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
     return {level: profile.intervals_at(level) for level in (*levels, profile.level)}
 
 
-def _draw_profile(axes: Axes, profile: Profile) -> None:
-    top = HEADROOM * profile.threshold
-    for branch in np.unique(profile.branches):
-        here = profile.branches == branch
-        marker, colour = MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)]
-        axes.plot(*_smooth(profile, here), color=colour, linewidth=1.2)
-        axes.plot(profile.values[here], profile.deltas[here], marker, color=colour, markersize=3.5)
-    axes.axhline(profile.threshold, color=GREY, linestyle="--", linewidth=0.9)
-    for interval in profile.intervals:
-        low, high = _drawn(interval, profile)
-        axes.axvspan(low, high, color=COLOURS[5], alpha=0.18, linewidth=0)
-        for end, place, turn in ((interval[0], low, -1), (interval[1], high, 1)):
-            if end is None:
-                axes.annotate(
-                    "open",
-                    (place, 0.55 * profile.threshold),
-                    fontsize=7,
-                    ha="left" if turn < 0 else "right",
-                )
-    axes.set_ylim(-0.05 * top, top)
-    verdict = profile.verdict.value.replace("_", " ")
-    axes.set_title(f"{_label(profile)}\n{verdict}".replace(" in ", "\nin "), fontsize=8)
-    _plain(axes)
-
-
-def _smooth(profile: Profile, here: BoolArray) -> tuple[Array, Array]:
-    """The cubics through the points of one branch, as many short lines."""
-    rows = np.column_stack([profile.values, profile.deltas, profile.slopes])[here]
-    places, heights = [rows[:1, 0]], [rows[:1, 1]]
-    for left, right in pairwise([(float(a), float(b), float(c)) for a, b, c in rows]):
-        between = np.linspace(left[0], right[0], PER_SEGMENT + 1)[1:]
-        places.append(between)
-        heights.append(np.array([cubic(x, left, right) for x in between]))
-    return np.concatenate(places), np.concatenate(heights)
-
-
 def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
     """The interval with the places reached for its open ends."""
     low, high = interval
@@ -186,11 +187,6 @@ def _panels(n: int, height: float) -> tuple[Figure, list[Axes]]:
     for unused in panels[n:]:
         unused.set_visible(False)
     return figure, panels
-
-
-def _label(profile: Profile) -> str:
-    words = label_without_unit(profile.name)
-    return f"{words} [{profile.unit}]" if profile.unit else words
 
 
 def _plain(axes: Axes) -> None:

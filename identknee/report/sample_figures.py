@@ -85,7 +85,17 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
                 axes.hist(draws[:, row], BINS, color=COLOURS[0], alpha=0.5)
                 axes.set_yticks([])
             else:
-                _pair(axes, draws[:, column], draws[:, row])
+                across = draws[:, column]
+                up = draws[:, row]
+                points = np.vstack([across, up])
+                estimate = gaussian_kde(points)
+                levels = np.quantile(
+                    estimate(points), [1.0 - share for share in sorted(SHARES, reverse=True)]
+                )
+                x, y = np.linspace(*_range(across), 50), np.linspace(*_range(up), 50)
+                density = estimate(np.array(np.meshgrid(x, y)).reshape(2, -1)).reshape(50, 50)
+                axes.plot(across, up, ".", color=GREY, markersize=1.0, alpha=0.5)
+                axes.contour(x, y, density, levels=levels, colors=COLOURS[0], linewidths=0.9)
             if known is not None:
                 axes.axvline(known[column], color=BLACK, linewidth=0.8)
                 if column < row:
@@ -156,17 +166,6 @@ def forces_figure(
     panels[0].set_yticks(rows, trials)
     _shared_legend(figure, panels[0])
     return figure
-
-
-def _pair(axes: Axes, across: Array, up: Array) -> None:
-    """Highest-density regions of a pair, from a kernel estimate, above its draws."""
-    points = np.vstack([across, up])
-    estimate = gaussian_kde(points)
-    levels = np.quantile(estimate(points), [1.0 - share for share in sorted(SHARES, reverse=True)])
-    x, y = np.linspace(*_range(across), 50), np.linspace(*_range(up), 50)
-    density = estimate(np.array(np.meshgrid(x, y)).reshape(2, -1)).reshape(50, 50)
-    axes.plot(across, up, ".", color=GREY, markersize=1.0, alpha=0.5)
-    axes.contour(x, y, density, levels=levels, colors=COLOURS[0], linewidths=0.9)
 
 
 def _range(*samples: Array) -> tuple[float, float]:

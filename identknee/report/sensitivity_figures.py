@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identknee.report.figures import COLOURS, GREY, MARKERS, SMALL, bare
@@ -28,7 +27,13 @@ def effects_figure(
     parameters
         Their names.
     """
-    figure, grid = _grid(len(panels), height=3.2)
+    n = len(panels)
+    rows = -(-n // COLUMNS)
+    figure = Figure(figsize=(9.0, 0.6 + 3.2 * rows), layout="constrained")
+    grid = list(figure.subplots(rows, COLUMNS, squeeze=False).ravel())
+    for axes in grid[n:]:
+        axes.set_axis_off()
+    figure, grid = (figure, grid)
     for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=False):
         # One trajectory has no spread and no interval.
         far = np.concatenate([size + np.nan_to_num(half_width), spread])
@@ -88,15 +93,6 @@ def map_figure(
         axes.set_title(name, fontsize=9)
     figure.colorbar(image, ax=list(grid), label=label, shrink=0.8)
     return figure
-
-
-def _grid(n: int, height: float) -> tuple[Figure, list[Axes]]:
-    rows = -(-n // COLUMNS)
-    figure = Figure(figsize=(9.0, 0.6 + height * rows), layout="constrained")
-    grid = list(figure.subplots(rows, COLUMNS, squeeze=False).ravel())
-    for axes in grid[n:]:
-        axes.set_axis_off()
-    return figure, grid
 
 
 def _short(parameter: str) -> str:

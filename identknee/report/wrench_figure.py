@@ -1,6 +1,5 @@
 """The forces a model lacks, as arrows on the tibial plateau."""
 
-from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import numpy as np
@@ -55,13 +54,48 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     if not pulls:
         return figure
     grid = figure.subplots(len(angles), len(directions), squeeze=False)
-    force, moment = _largest(pulls)
-    lines = _lines(answer, knee)
+    known = [x for x in pulls if x.p_value <= LEVEL] or pulls
+    forces = [_force(x) for x in known]
+    moments = [abs(x.internal_moment_Nm) for x in known]
+    tiny = np.finfo(np.float64).tiny
+    force, moment = max(*forces, tiny), max(*moments, tiny)
+    given: dict[str, LineEnds] = {
+        cause_label(x.name): x.line for x in answer.causes if x.line is not None
+    }
+    if answer.line is not None and not given:
+        given = {"the line tried": answer.line}
+    lines = {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
     # Arrows cross what is written beside them: names stand where these are shortest.
     least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
     named = grid[angles.index(least.flexion_deg), directions.index(least.direction)]
     for axes in grid.flat:
-        _draw_plateau(axes, knee, lines, is_named=axes is named)
+        is_named = axes is named
+        for surface in knee.tibia:
+            page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
+            axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
+        places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
+        axes.plot(*places.T, "o", color=GREY, markersize=2.5)
+        for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
+            away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
+            axes.annotate(
+                ligament.name,
+                place,
+                (float(away[0]), float(away[1])),
+                textcoords="offset points",
+                fontsize=TINY,
+                ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
+                va="center",
+            )
+        for line, colour in zip(lines.values(), cycle(LINES), strict=False):
+            ends = ABOVE.project(line)[:, :2]
+            axes.plot(*ends.T, color=colour, linewidth=2.0)
+            axes.plot(*ends[1], "s", color=colour, markersize=4)
+        axes.set_aspect("equal")
+        axes.margins(MARGIN)
+        axes.set_axis_off()
+        # What follows must not change the scale, which is that of all panels.
+        axes.autoscale_view()
+        axes.set_autoscale_on(False)
     for pull in pulls:
         axes = grid[angles.index(pull.flexion_deg), directions.index(pull.direction)]
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
@@ -69,60 +103,28 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
         axes.set_title(direction, fontsize=9)
     for axes, angle in zip(grid[:, 0], angles, strict=True):
         axes.text(-0.04, 0.5, f"{angle:g} deg", transform=axes.transAxes, ha="right", va="center")
-    _explain(figure, lines)
+    handles = [
+        Line2D([], [], color=SHOWN, linewidth=1.8, label="more than noise (p < 0.05)"),
+        Line2D([], [], color=GREY, linewidth=1.8, label="may be noise"),
+        *(
+            Line2D([], [], color=colour, linewidth=2.0, marker="s", markersize=4, label=name)
+            for name, colour in zip(lines, cycle(LINES), strict=False)
+        ),
+    ]
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+        fontsize=9,
+        title="up is anterior, right is lateral, an arc counterclockwise is an internal moment",
+        title_fontsize=SMALL,
+    )
     return figure
-
-
-def _largest(pulls: Sequence[Pull]) -> tuple[float, float]:
-    """The largest force [N] and moment [N·m] that are not noise, or of all where all are."""
-    known = [x for x in pulls if x.p_value <= LEVEL] or pulls
-    forces = [_force(x) for x in known]
-    moments = [abs(x.internal_moment_Nm) for x in known]
-    least = np.finfo(np.float64).tiny
-    return max(*forces, least), max(*moments, least)
 
 
 def _force(pull: Pull) -> float:
     return float(np.hypot(pull.anterior_force_N, pull.lateral_force_N))
-
-
-def _lines(answer: Diagnosis, knee: Knee) -> dict[str, Array]:
-    """Femoral and tibial end of each structure that the diagnosis gives, in tibial axes (2, 3)."""
-    given: dict[str, LineEnds] = {
-        cause_label(x.name): x.line for x in answer.causes if x.line is not None
-    }
-    if answer.line is not None and not given:
-        given = {"the line tried": answer.line}
-    return {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
-
-
-def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_named: bool) -> None:
-    for surface in knee.tibia:
-        page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
-        axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
-    places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
-    axes.plot(*places.T, "o", color=GREY, markersize=2.5)
-    for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
-        away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
-        axes.annotate(
-            ligament.name,
-            place,
-            (float(away[0]), float(away[1])),
-            textcoords="offset points",
-            fontsize=TINY,
-            ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
-            va="center",
-        )
-    for line, colour in zip(lines.values(), cycle(LINES), strict=False):
-        ends = ABOVE.project(line)[:, :2]
-        axes.plot(*ends.T, color=colour, linewidth=2.0)
-        axes.plot(*ends[1], "s", color=colour, markersize=4)
-    axes.set_aspect("equal")
-    axes.margins(MARGIN)
-    axes.set_axis_off()
-    # What follows must not change the scale, which is that of all panels.
-    axes.autoscale_view()
-    axes.set_autoscale_on(False)
 
 
 def _draw_pull(axes: Axes, pull: Pull, mm_per_N: float, deg_per_Nm: float) -> None:
@@ -172,24 +174,3 @@ def _draw_arrow(axes: Axes, foot: Array, tip: Array, colour: str) -> None:
         zorder=4,
     )
     axes.add_patch(arrow)
-
-
-def _explain(figure: Figure, lines: Mapping[str, Array]) -> None:
-    """The key: colours, and which way the page lies."""
-    handles = [
-        Line2D([], [], color=SHOWN, linewidth=1.8, label="more than noise (p < 0.05)"),
-        Line2D([], [], color=GREY, linewidth=1.8, label="may be noise"),
-        *(
-            Line2D([], [], color=colour, linewidth=2.0, marker="s", markersize=4, label=name)
-            for name, colour in zip(lines, cycle(LINES), strict=False)
-        ),
-    ]
-    figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=4,
-        frameon=False,
-        fontsize=9,
-        title="up is anterior, right is lateral, an arc counterclockwise is an internal moment",
-        title_fontsize=SMALL,
-    )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -98,7 +97,15 @@ def diagnose_data(
     answer = replace(
         answer,
         trials_used=used.names,
-        assumptions=(*answer.assumptions, *used.sentences, *_advice_remark(found)),
+        assumptions=(
+            *answer.assumptions,
+            *used.sentences,
+            *(
+                ()
+                if found.advice is None
+                else candidate_path_findings(found.explanation.fitted.model)
+            ),
+        ),
         findings=without_repeats(
             (
                 *lost,
@@ -111,12 +118,14 @@ def diagnose_data(
         ),
     )
     if run.out is not None:
-        _write_extension(found, run.out)
+        folder = write_subject(found.extended_knee, run.out / EXTENDED)
+        lines = ["# Where the fit of the extended model lies: --start of other verbs."]
+        for owner, values in found.explanation.fitted_values.items():
+            lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
+        write_atomically(folder / FITTED, "\n".join(lines) + "\n")
+        if found.advice is not None:
+            write_laxity(_blank(found.laxity, found.advice.trials), run.out / ADVICE)
     return answer
-
-
-def _advice_remark(found: Investigation) -> tuple[str, ...]:
-    return () if found.advice is None else candidate_path_findings(found.explanation.fitted.model)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:
@@ -186,17 +195,6 @@ def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
         "No parameters near the subject's have a prediction in every measured trial. See: "
         f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
     )
-
-
-def _write_extension(found: Investigation, out: Path) -> None:
-    """The extended subject, where its fit lies, and the trials to add."""
-    folder = write_subject(found.extended_knee, out / EXTENDED)
-    lines = ["# Where the fit of the extended model lies: --start of other verbs."]
-    for owner, values in found.explanation.fitted_values.items():
-        lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
-    write_atomically(folder / FITTED, "\n".join(lines) + "\n")
-    if found.advice is not None:
-        write_laxity(_blank(found.laxity, found.advice.trials), out / ADVICE)
 
 
 def _blank(laxity: Laxity, trials: Protocol) -> Laxity:

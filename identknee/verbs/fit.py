@@ -337,7 +337,12 @@ class Calibration(SimulatedLaxity):
     @derived("Measured trials in which the model has no prediction", only="a trial lost")
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
         """Measured trials in which the model has no prediction."""
-        return _trials_without_equilibrium(self.trials, self.data)
+        measured = np.any(self.data.is_measured, axis=1).tolist()
+        return tuple(
+            x
+            for x, is_measured in zip(self.trials, measured, strict=True)
+            if is_measured and x.outcome is not Outcome.CONVERGED
+        )
 
 
 @verb
@@ -480,16 +485,6 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
         fitted=dict(zip(parameters.names, theta.tolist(), strict=True)),
         poses=() if model.poses is None else poses_of(model.protocol, prediction.coordinates),
         contact_rounding_mm=contact_rounding(knee),
-    )
-
-
-def _trials_without_equilibrium(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
-    """The measured trials in which a simulation has no equilibrium."""
-    measured = np.any(laxity.is_measured, axis=1).tolist()
-    return tuple(
-        x
-        for x, is_measured in zip(trials, measured, strict=True)
-        if is_measured and x.outcome is not Outcome.CONVERGED
     )
 
 

@@ -231,7 +231,17 @@ def identification(
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
-        residuals = _with_shared_errors(residuals, theta)
+        if residuals.weighting == "unit":
+            raise ValueError(
+                "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
+                "--noise, for example --noise 0.5mm,0.5deg"
+            )
+        first = fit(with_nuisance_priors(residuals), theta)
+        if first.outcome is Outcome.START_FAILED:
+            raise NotComputable(
+                prediction_finding(residuals.model, residuals.laxity, theta).sentence
+            )
+        residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
     part = restricted(with_bounds(residuals, limits), fixed or (), theta)
     problem = with_nuisance_priors(part)
     degrees: int | None = None
@@ -323,19 +333,6 @@ def no_prediction(setup: Identification) -> NotComputable:
 def no_prediction_finding(setup: Identification) -> Finding:
     """The same as a finding."""
     return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
-
-
-def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResiduals:
-    """The residuals with the stated errors marginalised, linearised at a first fit."""
-    if residuals.weighting == "unit":
-        raise ValueError(
-            "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
-            "--noise, for example --noise 0.5mm,0.5deg"
-        )
-    first = fit(with_nuisance_priors(residuals), theta)
-    if first.outcome is Outcome.START_FAILED:
-        raise NotComputable(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
-    return replace(residuals, shared=shared_errors(residuals.model, first.theta))
 
 
 def _with_estimated_noise(

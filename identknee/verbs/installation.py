@@ -149,7 +149,11 @@ def cache() -> Iterator[InstallationCheck]:
     size = sum(x.stat().st_size for x in folder.rglob("*") if x.is_file())
     found = f"{folder}, can be written to, {size / BYTES_PER_MB:.0f} MB"
     yield InstallationCheck(group="cache", name="folder", is_sound=True, found=found)
-    n = _n_compiled()
+    # The compiler takes half a second to load.
+    from identknee.runs.compiling import compiled_folder
+
+    mechanics = Path(__file__).parents[1] / "mechanics"
+    n = len(list(compiled_folder(mechanics).rglob("*.nbc")))
     found = f"{n} compiled functions are there" if n else "none yet; the first command compiles"
     yield InstallationCheck(group="cache", name="compiled code", is_sound=True, found=found)
 
@@ -222,15 +226,6 @@ def _version_of(requirement: Requirement) -> InstallationCheck:
         found=found,
         remedy="" if fits else f"Install it: pip install '{requirement.name}{wanted}'",
     )
-
-
-def _n_compiled() -> int:
-    """How many functions are kept compiled for this version of the sources."""
-    # The compiler takes half a second to load.
-    from identknee.runs.compiling import compiled_folder
-
-    mechanics = Path(__file__).parents[1] / "mechanics"
-    return len(list(compiled_folder(mechanics).rglob("*.nbc")))
 
 
 # Numbers of the same program on another machine: rounding may differ, nothing else.

@@ -12,7 +12,7 @@ from identknee.report.drawing import Drawing
 from identknee.report.presenter import Band, Presenter
 from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,
     between,
@@ -31,32 +31,6 @@ MOST_FORCES = 12
 MOST_DRAWN = 16
 # What ends a range as a rule.
 USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
-
-
-def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
-    """The least known stiffness and the sets, then the least known force."""
-    region = answer.region
-    yield Statement(
-        question=Question.KNOWN,
-        sentence=" ".join(
-            [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
-        ),
-        tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
-        is_answer=True,
-    )
-    forces = _widest_first(region.quantities.values())
-    if forces:
-        widest, shown = forces[0], forces[:MOST_FORCES]
-        several = (
-            f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
-            * (len(forces) > MOST_FORCES)
-        )
-        yield Statement(
-            question=Question.KNOWN,
-            sentence=f"Among such sets, {parameter_words(widest.name)} lies anywhere "
-            f"{between(_ends(widest), widest.unit)}.{several}",
-            tables=(_table(shown, "Forces that differ most"),),
-        )
 
 
 def _least_determined_sentence(parameters: Iterable[Extrema]) -> Iterator[str]:
@@ -85,21 +59,22 @@ def _sets(answer: Equivalents) -> Iterator[str]:
 
 
 def _table(ranges: Iterable[Extrema], title: str) -> Table:
-    return Table(
-        title=title,
-        columns=(
-            Column(name="quantity"),
-            Column(name="lowest", decimals=None),
-            Column(name="fit", decimals=None),
-            Column(name="highest", decimals=None),
-            Column(name="remark"),
+    return table(
+        title,
+        ("quantity", ("lowest", None), ("fit", None), ("highest", None), "remark"),
+        (
+            (
+                label(x.name),
+                x.smallest,
+                x.at_fit,
+                x.largest,
+                " ".join(
+                    sorted({y.end.sentence for y in (x.lower, x.upper) if y.end not in USUAL})
+                ),
+            )
+            for x in ranges
         ),
-        rows=tuple((label(x.name), x.smallest, x.at_fit, x.largest, _note(x)) for x in ranges),
     )
-
-
-def _note(x: Extrema) -> str:
-    return " ".join(sorted({y.end.sentence for y in (x.lower, x.upper) if y.end not in USUAL}))
 
 
 def _widest_first(ranges: Iterable[Extrema]) -> Sequence[Extrema]:
@@ -119,8 +94,29 @@ class EquivalentsPresenter(Presenter[Equivalents]):
 
     @override
     def statements(self, answer: Equivalents) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from equivalents_statements(answer)
+        """The least known stiffness and the sets, then the least known force."""
+        region = answer.region
+        yield Statement(
+            question=Question.KNOWN,
+            sentence=" ".join(
+                [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
+            ),
+            tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
+            is_answer=True,
+        )
+        forces = _widest_first(region.quantities.values())
+        if forces:
+            widest, shown = forces[0], forces[:MOST_FORCES]
+            several = (
+                f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
+                * (len(forces) > MOST_FORCES)
+            )
+            yield Statement(
+                question=Question.KNOWN,
+                sentence=f"Among such sets, {parameter_words(widest.name)} lies anywhere "
+                f"{between(_ends(widest), widest.unit)}.{several}",
+                tables=(_table(shown, "Forces that differ most"),),
+            )
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:

@@ -6,57 +6,14 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.geodesic import Boundary
-from identknee.identify.information import Information
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.range import SDS_95, Range, Source
 from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.tables import Table, table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
-
-
-def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
-    """Whether data could determine every parameter, how well these do, and what they leave."""
-    found, structure = answer.fisher, answer.structure
-    n = len(found.parameter_names)
-    alike = ""
-    if n > 1:
-        pair = found.most_collinear[0]
-        words = listed(map(parameter_words, pair.parameters))
-        alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
-    yield _known(
-        f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
-        f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
-        "prediction."
-        f"{alike}"
-    )
-    yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the solver"
-        f". Their condition number is {found.condition:.3g}.",
-        Table(
-            title="Combinations of parameters, from well to poorly determined",
-            columns=(
-                Column(name="combination, in scaled units"),
-                Column(name="eigenvalue", decimals=None),
-                Column(name="noise floor", decimals=None),
-            ),
-            rows=tuple(
-                (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
-                for x in found.spectrum
-            ),
-        ),
-    )
-    yield _known(
-        "These standard deviations linearise the model at the best fit; profiles do not.",
-        _parameters(found),
-    )
-    for path in answer.geodesics:
-        yield _known(
-            "The geodesic along the least-determined combination ends "
-            f"{_end(path.boundary, path.involved)}."
-        )
 
 
 def _end(boundary: Boundary, involved: Sequence[str]) -> str:
@@ -87,21 +44,6 @@ def _combination_words(combination: str, names: Sequence[str]) -> str:
     return combination.replace(" +", ", +").replace(" -", ", \u2212")
 
 
-def _parameters(found: Information) -> Table:
-    return Table(
-        title="Parameters around the best fit",
-        columns=(
-            Column(name="parameter"),
-            Column(name="best", decimals=None),
-            Column(name="sd", decimals=None),
-        ),
-        rows=tuple(
-            (label(name), float(best), float(sd))
-            for name, best, sd in zip(found.parameter_names, found.theta, found.sd, strict=True)
-        ),
-    )
-
-
 class InformationPresenter(Presenter[LocalIdentifiability]):
     """How the information around the best fit is shown."""
 
@@ -110,8 +52,51 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
 
     @override
     def statements(self, answer: LocalIdentifiability) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from information_statements(answer)
+        """Whether data could determine every parameter, how well these do, and what they leave."""
+        found, structure = answer.fisher, answer.structure
+        n = len(found.parameter_names)
+        alike = ""
+        if n > 1:
+            pair = found.most_collinear[0]
+            words = listed(map(parameter_words, pair.parameters))
+            alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
+        yield _known(
+            f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
+            f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
+            "prediction."
+            f"{alike}"
+        )
+        yield _known(
+            f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the "
+            "solver"
+            f". Their condition number is {found.condition:.3g}.",
+            table(
+                "Combinations of parameters, from well to poorly determined",
+                ("combination, in scaled units", ("eigenvalue", None), ("noise floor", None)),
+                (
+                    (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
+                    for x in found.spectrum
+                ),
+            ),
+        )
+        yield _known(
+            "These standard deviations linearise the model at the best fit; profiles do not.",
+            table(
+                "Parameters around the best fit",
+                ("parameter", ("best", None), ("sd", None)),
+                (
+                    (label(name), float(best), float(sd))
+                    for name, best, sd in zip(
+                        found.parameter_names, found.theta, found.sd, strict=True
+                    )
+                ),
+            ),
+        )
+        for path in answer.geodesics:
+            yield _known(
+                "The geodesic along the least-determined combination ends "
+                f"{_end(path.boundary, path.involved)}."
+            )
 
     @override
     def drawings(

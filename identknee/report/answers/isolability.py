@@ -12,7 +12,7 @@ from identknee.report.answers.design import trial_table, trials_words
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.tables import table
 from identknee.report.words import trial_list
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
@@ -25,42 +25,6 @@ if TYPE_CHECKING:
 
 MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
-
-
-def isolability_statements(answer: Isolability) -> Iterator[Statement]:
-    """What a protocol could show, before there are data."""
-    rows = tuple(
-        (
-            cause_label(name),
-            *detectable_sizes(x),
-            listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
-        )
-        for name, x in answer.effects.items()
-    )
-    names = ("cause", *SIZES, "looks like")
-    table = Table(
-        title="What these trials could show in nine of ten data sets",
-        columns=tuple(Column(name=x) for x in names),
-        rows=rows,
-    )
-    trials = f"The {answer.n_trials} trials of {answer.protocol}"
-    together = "; ".join(_few(x.effects) for x in answer.groups)
-    said = "would distinguish all causes."
-    if answer.groups:
-        said = f"could not distinguish all causes. These are confounded: {together}."
-    yield Statement(
-        question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
-    )
-    for group in answer.groups:
-        if group.advised_trials:
-            yield Statement(
-                question=Question.NEXT,
-                sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
-                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
-                f"closest would then be {group.distance_with_advised_trials:.1f} and not "
-                f"{group.distance:.1f} units of noise apart.",
-                tables=(trial_table(group.advised_trials),),
-            )
 
 
 def detectable_sizes(x: Detectability) -> tuple[str, str]:
@@ -95,8 +59,35 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def statements(self, answer: Isolability) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from isolability_statements(answer)
+        """What a protocol could show, before there are data."""
+        rows = tuple(
+            (
+                cause_label(name),
+                *detectable_sizes(x),
+                listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
+            )
+            for name, x in answer.effects.items()
+        )
+        names = ("cause", *SIZES, "looks like")
+        shown = table("What these trials could show in nine of ten data sets", names, rows)
+        trials = f"The {answer.n_trials} trials of {answer.protocol}"
+        together = "; ".join(_few(x.effects) for x in answer.groups)
+        said = "would distinguish all causes."
+        if answer.groups:
+            said = f"could not distinguish all causes. These are confounded: {together}."
+        yield Statement(
+            question=Question.WRONG, sentence=f"{trials} {said}", tables=(shown,), is_answer=True
+        )
+        for group in answer.groups:
+            if group.advised_trials:
+                yield Statement(
+                    question=Question.NEXT,
+                    sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
+                    f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
+                    f"closest would then be {group.distance_with_advised_trials:.1f} and not "
+                    f"{group.distance:.1f} units of noise apart.",
+                    tables=(trial_table(group.advised_trials),),
+                )
 
     @override
     def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:

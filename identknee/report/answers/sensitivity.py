@@ -11,7 +11,7 @@ from identknee.laxity.trial_words import UNLOADED
 from identknee.report.drawing import Drawing
 from identknee.report.presenter import Presenter
 from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.tables import Table, table
 from identknee.runs.words import coordinate_words, label, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.sensitivity import GlobalSensitivity
@@ -34,27 +34,6 @@ MEANINGS = {
     "hdmr": "the share of the variance that its terms explain",
     "shapley": "its fair share of the variance, with what it shares with others",
 }
-
-
-def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
-    """Which parameter moves which laxity most, and how well that is known."""
-    found = answer.analysis
-    if found.share_failed == 1.0:
-        # Indices of means alone would be numbers about nothing.
-        yield _statement(
-            f"None of the {found.n_simulations} simulations has a prediction in every trial, so no "
-            "index can be given."
-        )
-        return
-    yield _statement(
-        f"{_most_influential(answer)} The largest index of each parameter is "
-        f"{MEANINGS[found.method]}.",
-        _table(answer),
-    )
-    yield _statement(
-        f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
-        f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
-    )
 
 
 def _missing(found: Sensitivity) -> str:
@@ -107,16 +86,16 @@ def _table(answer: GlobalSensitivity) -> Table:
     name = OF_MAIN_INTEREST[found.method]
     index = found.indices[name]
     tops = [found.largest_group(name, i) for i in range(found.parameters.n)]
-    return Table(
-        title="Largest influence of every parameter",
-        columns=(
-            Column(name="parameter"),
-            Column(name=f"index {name}", decimals=3),
-            Column(name="half-width", decimals=3),
-            Column(name="laxity it moves most"),
-            Column(name="index for lost trials", decimals=3),
+    return table(
+        "Largest influence of every parameter",
+        (
+            "parameter",
+            (f"index {name}", 3),
+            ("half-width", 3),
+            "laxity it moves most",
+            ("index for lost trials", 3),
         ),
-        rows=tuple(
+        (
             (
                 label(parameter),
                 float(index.final[top, i]),
@@ -136,8 +115,25 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
 
     @override
     def statements(self, answer: GlobalSensitivity) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from sensitivity_statements(answer)
+        """Which parameter moves which laxity most, and how well that is known."""
+        found = answer.analysis
+        if found.share_failed == 1.0:
+            # Indices of means alone would be numbers about nothing.
+            yield _statement(
+                f"None of the {found.n_simulations} simulations has a prediction in every trial, "
+                "so no "
+                "index can be given."
+            )
+            return
+        yield _statement(
+            f"{_most_influential(answer)} The largest index of each parameter is "
+            f"{MEANINGS[found.method]}.",
+            _table(answer),
+        )
+        yield _statement(
+            f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
+            f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
+        )
 
     @override
     def drawings(

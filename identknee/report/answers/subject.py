@@ -26,20 +26,10 @@ def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
 
 def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
     """Side and ligaments, and whether stability was not checked."""
-    yield from subject_statements(answer)
+    yield from SubjectPresenter().statements(answer)
     if answer.stability is None:
         sentence = "Stability was not checked: correct the errors below first."
         yield Statement(question=Question.WRONG, sentence=sentence)
-
-
-def settle_statements(answer: SettledSubject) -> Iterator[Statement]:
-    """How many trials converge, and which insertions moved."""
-    sentence = (
-        f"{answer.n_after} of {answer.n_trials} trials converge, {answer.n_before} before; the "
-        f"lowest stability margin is {answer.lowest_margin:.3g} N/mm."
-    )
-    moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
-    yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *moved]))
 
 
 class SubjectPresenter(Presenter[SubjectFacts]):
@@ -72,5 +62,10 @@ class SettledSubjectPresenter(Presenter[SettledSubject]):
 
     @override
     def statements(self, answer: SettledSubject) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from settle_statements(answer)
+        """How many trials converge, and which insertions moved."""
+        sentence = (
+            f"{answer.n_after} of {answer.n_trials} trials converge, {answer.n_before} before; the "
+            f"lowest stability margin is {answer.lowest_margin:.3g} N/mm."
+        )
+        moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
+        yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *moved]))

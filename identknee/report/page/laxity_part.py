@@ -33,12 +33,18 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
             continue
         told = listed([*curves.simulated, *(["data"] if curves.measured is not None else [])])
         if (figure := along_load_figure(curves)) is not None:
+            parts = [f"lines: {listed(curves.simulated)}"]
+            if curves.measured is not None:
+                bars = " with two standard deviations" if curves.sd is not None else ""
+                parts.insert(0, f"dots: measured{bars}")
+            if curves.band is not None:
+                parts.append(f"band: {curves.band[0]}")
             yield (
                 result,
                 Drawing(
                     name="laxity",
                     figure=figure,
-                    caption=_caption(curves),
+                    caption=(f"Displacement along each load; {'; '.join(parts)}."),
                     description=f"Laxity along every load at each flexion angle: {told}.",
                 ),
             )
@@ -63,16 +69,6 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
                     description=f"Five coordinates along every load: {told}.",
                 ),
             )
-
-
-def _caption(curves: LaxityCurves) -> str:
-    parts = [f"lines: {listed(curves.simulated)}"]
-    if curves.measured is not None:
-        bars = " with two standard deviations" if curves.sd is not None else ""
-        parts.insert(0, f"dots: measured{bars}")
-    if curves.band is not None:
-        parts.append(f"band: {curves.band[0]}")
-    return f"Displacement along each load; {'; '.join(parts)}."
 
 
 def _by_flexion_caption(curves: LaxityCurves) -> str:
