@@ -306,13 +306,22 @@ def blind_case(
         if found is None or not contact_stays_inside(found.own, found.run, rims_of(actual)):
             found, redraws = None, redraws + 1
     if found is None:
-        raise _draw_failed_error(names, knee)
+        raise ValueError(
+            f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
+            f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
+            "smaller loads"
+        )
     tells_order = bool(HISTORY & set(names)) or streams[1].random() < ORDER_SHARE
     exact = Laxity(
         protocol=protocol,
         coordinates=found.run.coordinates,
         order=order if tells_order else None,
-        phase=_phase(protocol, is_unloading) if tells_order else None,
+        phase=tuple(
+            "" if rests else "unloading" if down else "loading"
+            for rests, down in zip(protocol.is_unloaded, is_unloading, strict=True)
+        )
+        if tells_order
+        else None,
         comments=(f"blind case, seed {seed}",),
     )
     laxity, facts = _noisy(exact, noise, streams[3])
@@ -325,14 +334,6 @@ def blind_case(
         truth=replace(truth, stated_errors=true_errors(knee, actual, off)),
         noise_free=exact,
         tensions=tensions(found.own, found.run, scene.n_lines),
-    )
-
-
-def _draw_failed_error(names: Sequence[str], knee: Knee) -> ValueError:
-    return ValueError(
-        f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
-        f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
-        "smaller loads"
     )
 
 
@@ -362,13 +363,6 @@ def _start(knee: Knee) -> tuple[Array, Array]:
 def _history(protocol: Protocol, generator: np.random.Generator) -> tuple[IntArray, BoolArray]:
     order = np.asarray(generator.permutation(protocol.n) + 1, np.int64)
     return order, generator.random(protocol.n) < 0.5
-
-
-def _phase(protocol: Protocol, is_unloading: BoolArray) -> tuple[str, ...]:
-    return tuple(
-        "" if rests else "unloading" if down else "loading"
-        for rests, down in zip(protocol.is_unloaded, is_unloading, strict=True)
-    )
 
 
 def _drawn(

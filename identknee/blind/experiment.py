@@ -224,8 +224,8 @@ def _flexion(experiment: Experiment) -> Array:
     return angles
 
 
-def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Array:
-    """Coordinates as the rig reads them [mm, deg]; NaN where there is no pose."""
+def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
+    poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
     result = np.full((len(poses), 5), np.nan)
     femur = energy.turned(experiment.femur_turn)
     tibia = energy.turned(experiment.tibia_turn)
@@ -236,13 +236,8 @@ def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Ar
                 :5
             ]
     result[:, 3:] *= 180.0 / np.pi
-    return result + experiment.added
-
-
-def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
-    poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
     return ExperimentRun(
-        coordinates=_read(experiment, poses),
+        coordinates=result + experiment.added,
         ends=tuple(_ENDS[x[0]] for x in found),
         poses=tuple((x[1], x[2]) for x in found),
         hessians=np.array([x[3] for x in found]),

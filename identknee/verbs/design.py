@@ -176,7 +176,15 @@ def design(
     """
     asked = None if candidates is None else read_trials(candidates)
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    offered = _candidate_trials(setup, asked)
+    made = setup.laxity.protocol
+    protocol = offered_laxity(setup.model, made) if asked is None else asked
+    offered = CandidateLaxity(
+        model=setup.model,
+        laxity=setup.laxity,
+        protocol=protocol,
+        sd=typical_errors(_with_errors(setup)),
+        free=setup.free,
+    )
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
@@ -231,18 +239,6 @@ def _marginalisation_sentence(
         "the trials that may be added, which share them."
     )
     return (sentence,)
-
-
-def _candidate_trials(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
-    made = setup.laxity.protocol
-    protocol = offered_laxity(setup.model, made) if asked is None else asked
-    return CandidateLaxity(
-        model=setup.model,
-        laxity=setup.laxity,
-        protocol=protocol,
-        sd=typical_errors(_with_errors(setup)),
-        free=setup.free,
-    )
 
 
 def _with_errors(setup: Identification) -> Laxity:

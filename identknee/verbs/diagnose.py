@@ -18,7 +18,6 @@ from identknee.diagnosis.investigation import Investigation, investigate, work_o
 from identknee.diagnosis.missing_line import LineEnds, LineFinding
 from identknee.diagnosis.refit import Refit, Rival, RivalState
 from identknee.diagnosis.verdict import Estimate, Verdict, causes_of, ligament_estimates
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.laxity.zero_conventions import zero_of_added_trials
 from identknee.model.laxity_model import LaxityModel
@@ -124,7 +123,17 @@ def diagnose_data(
             lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
         write_atomically(folder / FITTED, "\n".join(lines) + "\n")
         if found.advice is not None:
-            write_laxity(_blank(found.laxity, found.advice.trials), run.out / ADVICE)
+            write_laxity(
+                Laxity(
+                    protocol=found.advice.trials,
+                    coordinates=np.full(
+                        (found.advice.trials.n, found.laxity.coordinates.shape[1]), np.nan
+                    ),
+                    zero=zero_of_added_trials(found.laxity.zero),
+                    comments=(ADVISED,),
+                ),
+                run.out / ADVICE,
+            )
     return answer
 
 
@@ -136,12 +145,16 @@ def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:
     )
 
 
+ADVISED = "Trials advised by identknee diagnose: measure, fill in, append to the data."
+
+
 def diagnosis_of(found: Investigation) -> Diagnosis:
     """The answer that fits and tests give."""
     conclusion, base, best = found.conclusion, found.base, found.explanation
     before, after = ligament_estimates(base), ligament_estimates(best)
     knee, n = base.fitted.model.knee, base.fitted.model.n_ligament_parameters
     wrench = found.missing_wrench
+    first, *others = found.attribution.steps
     return Diagnosis(
         assumptions=(knee.uncertainty.sentence,),
         uncertainty=knee.uncertainty.words,
@@ -177,8 +190,27 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
             sd_outside=WRENCH_UNITS * np.sqrt(np.einsum("nii->ni", wrench.outside_covariance)),
         ),
         parameter_names=base.fitted.model.parameters.names[:n],
-        explanations=tuple(_explanation(x, n) for x in _compared(found)),
-        steps=_steps(found),
+        explanations=tuple(
+            Explanation(
+                label=" + ".join(x.names) or "none",
+                names=x.names,
+                log_evidence=x.log_evidence,
+                chi_square=x.fitted.misfit,
+                p_value=x.misfit_p_value,
+                outcome=x.fitted.outcome,
+                theta=x.fitted.theta[:n],
+                residuals=x.fitted.differences,
+            )
+            for x in _compared(found)
+        ),
+        steps=tuple(
+            StepScores(
+                beside=x.at.names,
+                quantile=x.scores.quantile,
+                scores={y.name: y.score for y in x.scores.candidates},
+            )
+            for x in (first, *(x for x in others if x.at is found.explanation))
+        ),
         added_variable=_added_variable(found),
         extension=tuple(_added_effect(x, knee) for x in found.extended_knee.effects),
         findings=found.findings,
@@ -194,16 +226,6 @@ def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
     return (
         "No parameters near the subject's have a prediction in every measured trial. See: "
         f"identknee subject check; or leave the cells of such trials of {knee.name} blank."
-    )
-
-
-def _blank(laxity: Laxity, trials: Protocol) -> Laxity:
-    """Trials to measure, their coordinates to be filled in."""
-    return Laxity(
-        protocol=trials,
-        coordinates=np.full((trials.n, laxity.coordinates.shape[1]), np.nan),
-        zero=zero_of_added_trials(laxity.zero),
-        comments=("Trials advised by identknee diagnose: measure, fill in, append to the data.",),
     )
 
 
@@ -276,31 +298,6 @@ def _compared(found: Investigation) -> list[Refit]:
     best = {x.names: x for x in (found.explanation, found.attribution.best) if x.causes}
     rivals = [x.refit for x in found.attribution.rivals if x.refit is not found.base]
     return [found.base, *best.values(), *rivals]
-
-
-def _explanation(refit: Refit, n: int) -> Explanation:
-    return Explanation(
-        label=" + ".join(refit.names) or "none",
-        names=refit.names,
-        log_evidence=refit.log_evidence,
-        chi_square=refit.fitted.misfit,
-        p_value=refit.misfit_p_value,
-        outcome=refit.fitted.outcome,
-        theta=refit.fitted.theta[:n],
-        residuals=refit.fitted.differences,
-    )
-
-
-def _steps(found: Investigation) -> tuple[StepScores, ...]:
-    first, *others = found.attribution.steps
-    return tuple(
-        StepScores(
-            beside=x.at.names,
-            quantile=x.scores.quantile,
-            scores={y.name: y.score for y in x.scores.candidates},
-        )
-        for x in (first, *(x for x in others if x.at is found.explanation))
-    )
 
 
 def _added_variable(found: Investigation) -> AddedVariable:

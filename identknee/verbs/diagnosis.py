@@ -392,7 +392,7 @@ class Diagnosis(Answer):
             self.parameters_before_ci95,
             self.parameters_after_ci95,
         )
-        named = {_names(x) for x in trees if x is not None}
+        named = {tuple((owner, *own) for owner, own in x.items()) for x in trees if x is not None}
         if len(named) > 1 or (None in trees and any(trees)):
             raise ValueError("the parameters before and after do not name the same")
         if any(
@@ -416,10 +416,6 @@ class Diagnosis(Answer):
             The subject that was diagnosed.
         """
         return knee.with_effects([_choice(x, knee) for x in self.extension])
-
-
-def _names(tree: Mapping[str, Mapping[str, object]]) -> tuple[tuple[str, ...], ...]:
-    return tuple((owner, *own) for owner, own in tree.items())
 
 
 def _choice(effect: AddedEffect, knee: Knee) -> EffectChoice:

@@ -152,7 +152,17 @@ def equivalents(
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
     n, q = setup.problem.parameters.n, len(quantities)
     told = f"finding the ranges of {n} parameters and {q} ligament forces"
-    with planned(told, _work(n, q, n_sets), shorter=SHORTER):
+    with planned(
+        told,
+        {
+            "simulating sets": [0.017] * (3 * n_sets),
+            # Extrema of parameters, of which there is a first guess, and of forces.
+            "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * q),
+            "finding the diameter": [0.05] * 12,
+            "looking along rays": [0.32] * 20,
+        },
+        shorter=SHORTER,
+    ):
         sets = equivalent_sets(
             region,
             quantities=quantities,
@@ -177,17 +187,6 @@ def equivalents(
         **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
     )
-
-
-def _work(n: int, n_quantities: int, n_sets: int) -> dict[str, list[float]]:
-    """What each piece of work of both rounds costs, beside the others."""
-    return {
-        "simulating sets": [0.017] * (3 * n_sets),
-        # Extrema of parameters, of which there is a first guess, and of forces.
-        "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * n_quantities),
-        "finding the diameter": [0.05] * 12,
-        "looking along rays": [0.32] * 20,
-    }
 
 
 def _region(

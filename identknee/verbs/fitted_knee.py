@@ -64,7 +64,13 @@ def knee_as_fitted(knee: Knee) -> Knee:
 def _with_values(knee: Knee, values: Mapping[str, float], stated: Knee, pattern: Knee) -> Knee:
     """The knee at `values`, uncertain as `stated`, its bundles related as those of `pattern`."""
     shifts = _insertion_shifts(stated, values)
-    stiffness, strain = _by_ligament(pattern, values)
+    units = tied(pattern)
+    own = zip(
+        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
+    )
+    found = [(values.get(f"{x}.{STIFFNESS}", k), values.get(f"{x}.{STRAIN}", e)) for x, k, e in own]
+    stiffness, strain = np.array(found).T
+    stiffness, strain = (units.stiffness(stiffness).tolist(), units.strain(strain).tolist())
     ligaments = [
         replace(x, stiffness_kN=own_stiffness, reference_strain_pct=own_strain)
         for x, own_stiffness, own_strain in zip(knee.ligaments, stiffness, strain, strict=True)
@@ -100,17 +106,6 @@ def fitted_values(answer: Answer) -> dict[str, float]:
         f"a result of type {type(answer).__name__} holds no parameter set; give one of fit, "
         "profile or simulate"
     )
-
-
-def _by_ligament(knee: Knee, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
-    """Stiffness and reference strain of each ligament, those of a group from what it has."""
-    units = tied(knee)
-    own = zip(
-        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
-    )
-    found = [(values.get(f"{x}.{STIFFNESS}", k), values.get(f"{x}.{STRAIN}", e)) for x, k, e in own]
-    stiffness, strain = np.array(found).T
-    return units.stiffness(stiffness).tolist(), units.strain(strain).tolist()
 
 
 def with_stated_uncertainty_of(knee: Knee, answer: Answer) -> Knee:

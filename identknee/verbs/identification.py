@@ -252,7 +252,16 @@ def identification(
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
-        assumptions.append(_estimated_noise_finding(sizes, degrees))
+        shown = ", ".join(
+            f"{sd:.3g} {unit}"
+            for sd, unit in zip(sizes, ("mm", "deg"), strict=True)
+            if sd is not None
+        )
+        assumptions.append(
+            "The data state no noise: one standard deviation for lengths and one for angles was "
+            f"estimated from the residuals of the best fit ({shown}, {degrees} degrees of "
+            "freedom), and F thresholds are used."
+        )
     return Identification(
         knee=knee,
         laxity=laxity,
@@ -345,18 +354,6 @@ def _with_estimated_noise(
     found = with_estimated_noise(part, groups, part.free.restrict(theta))
     sizes = dict(zip(units.tolist(), found.sds.tolist(), strict=True))
     return found, (sizes.get(0), sizes.get(1))
-
-
-def _estimated_noise_finding(sizes: Sizes, degrees: int) -> str:
-    shown = ", ".join(
-        f"{sd:.3g} {unit}" for sd, unit in zip(sizes, ("mm", "deg"), strict=True) if sd is not None
-    )
-    return (
-        "The data state no noise: one standard deviation for lengths and one for angles was "
-        f"estimated from the residuals of the best fit ({shown}, {degrees} degrees of freedom), "
-        f"and F "
-        "thresholds are used."
-    )
 
 
 def _data_findings(laxity: Laxity, n_parameters: int) -> list[str]:

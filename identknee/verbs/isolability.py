@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Unpack, overload
 
-from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
+from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
 from identknee.laxity.named_trials import TrialsLike, read_trials
@@ -122,22 +122,21 @@ def isolability(
         assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
-        groups=tuple(_confusable_causes(x) for x in found.advice),
+        groups=tuple(
+            ConfusableCauses(
+                effects=x.names,
+                distance=x.before,
+                distance_with_advised_trials=x.after,
+                advised_trials=advised(x.trials),
+            )
+            for x in found.advice
+        ),
         look_alikes=found.look_alikes,
         effects={x.name: x for x in found.visibility},
         rivals=found.distances.effects,
         distances=found.distances.values[:, order],
         root_noncentrality=ROOT,
         least_distance=LEAST_DISTANCE,
-    )
-
-
-def _confusable_causes(advice: GroupAdvice) -> ConfusableCauses:
-    return ConfusableCauses(
-        effects=advice.names,
-        distance=advice.before,
-        distance_with_advised_trials=advice.after,
-        advised_trials=advised(advice.trials),
     )
 
 

@@ -207,7 +207,18 @@ def profile(
     return Profiles(
         parameters={x.name: x for x in profiles if x.name in names},
         quantities={x.name: x for x in profiles if x.name not in names},
-        pairs=_joint_sets(run, setup, best.optimum, couples, level),
+        pairs=tuple(
+            profile_pair(
+                setup.problem,
+                best.optimum,
+                couple,
+                level=level,
+                threshold=_threshold(setup, level, 2),
+                executor=run.executor,
+                store=run.store,
+            )
+            for couple in couples
+        ),
         parameter_names=names,
         optimum=best.optimum,
         deviance=best.deviance,
@@ -252,23 +263,6 @@ def _pair_of_parameters(setup: Identification, pair: Pair) -> tuple[str, str]:
     if first == second:
         raise ValueError(f"--pair {text}: a pair needs two different parameters")
     return first, second
-
-
-def _joint_sets(
-    run: Run, setup: Identification, theta: Array, couples: Sequence[tuple[str, str]], level: float
-) -> tuple[PairProfile, ...]:
-    return tuple(
-        profile_pair(
-            setup.problem,
-            theta,
-            couple,
-            level=level,
-            threshold=_threshold(setup, level, 2),
-            executor=run.executor,
-            store=run.store,
-        )
-        for couple in couples
-    )
 
 
 def _threshold(setup: Identification, level: float, n: int = 1) -> float:

@@ -1,7 +1,6 @@
 """Which parameters the laxity of a knee depends on."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Unpack
 
@@ -13,7 +12,6 @@ from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_
 from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed
 from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
 from identknee.model.model_for_tests import model_for_tests
@@ -23,7 +21,6 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
-from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import (
     Fixed,
@@ -109,7 +106,19 @@ def sensitivity(
         )
     planned = "seed63" if protocol is None else protocol
     tests = read_tests(planned) if data is None else data
-    outputs = _outputs(subject, tests, start, fixed)
+    model = model_for_tests(subject, tests)
+    held = {*(fixed or ()), *model.parameters.nuisance_names}
+    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
+    if free.parameters.n < 2:
+        raise ValueError(
+            "a sensitivity analysis needs at least two parameters that vary; fix fewer"
+        )
+    outputs = LaxityOutputs(
+        model=model,
+        groups=tuple(x.name for x in laxity_groups(model.protocol)),
+        free=free,
+        zero=tests.zero if isinstance(tests, Laxity) else "absolute",
+    )
     over = _where(run, outputs, posterior, samples)
     warm_up(subject, outputs.model.protocol)
     run.start_clock()
@@ -125,24 +134,6 @@ def sensitivity(
     groups = {x.name: x for x in laxity_groups(outputs.model.protocol)}
     nothing = (finding("no-set-converges", "trials"),) if found.share_failed == 1.0 else ()
     return GlobalSensitivity(analysis=found, laxity_groups=tuple(groups.values()), findings=nothing)
-
-
-def _outputs(
-    knee: Knee, tests: Protocol | Laxity, start: str, fixed: Sequence[str] | None
-) -> LaxityOutputs:
-    model = model_for_tests(knee, tests)
-    held = {*(fixed or ()), *model.parameters.nuisance_names}
-    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
-    if free.parameters.n < 2:
-        raise ValueError(
-            "a sensitivity analysis needs at least two parameters that vary; fix fewer"
-        )
-    return LaxityOutputs(
-        model=model,
-        groups=tuple(x.name for x in laxity_groups(model.protocol)),
-        free=free,
-        zero=tests.zero if isinstance(tests, Laxity) else "absolute",
-    )
 
 
 def _where(

@@ -133,7 +133,15 @@ def sweep(
     nuisances = ~parameters.is_of_interest
     starts[:, nuisances] = setup.start[nuisances]
     run.start_clock()
-    with planned("sweeping", _work(method, n_starts, paths)):
+    chunk = STARTS_A_TASK.get(method, 1)
+    cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
+    with planned(
+        "sweeping",
+        {
+            f"sweeping by {method}": [cost] * -(-n_starts // chunk),
+            "cliffs": [PATH_COST] * min(paths, n_starts),
+        },
+    ):
         searches = searched(
             setup.problem,
             starts,
@@ -175,16 +183,6 @@ def _numbers(distances: str | Sequence[float]) -> list[float]:
         raise ValueError(
             f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
         ) from None
-
-
-def _work(method: str, n_starts: int, paths: int) -> dict[str, list[float]]:
-    """What each task of searches and each path costs, in searches by least squares."""
-    chunk = STARTS_A_TASK.get(method, 1)
-    cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
-    return {
-        f"sweeping by {method}": [cost] * -(-n_starts // chunk),
-        "cliffs": [PATH_COST] * min(paths, n_starts),
-    }
 
 
 def _cliffs(run: Run, setup: Identification, survey: Survey, paths: int) -> CliffMap | None:
