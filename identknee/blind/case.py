@@ -200,26 +200,16 @@ MOST_DRAWS = 40
 DRAWS_A_KNEE = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BlindCase:
-    """Data with a hidden effect.
+    """Data with a hidden effect."""
 
-    Attributes
-    ----------
-    laxity
-        The data as they are handed out: noisy, with the stated standard deviations.
-    truth
-        What is behind them.
-    noise_free
-        The same without errors.
-    tensions
-        True tension of each ligament in each trial [N], shape ``(n, m)``.
-    """
-
-    laxity: Laxity
-    truth: Truth
-    noise_free: Laxity
-    tensions: Array
+    laxity: Laxity = entry(
+        "The data as they are handed out: noisy, with the stated standard deviations"
+    )
+    truth: Truth = entry("What is behind them")
+    noise_free: Laxity = entry("The same without errors")
+    tensions: Array = entry("True tension of each ligament in each trial [N], shape ``(n, m)``")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -316,12 +306,7 @@ def blind_case(
         protocol=protocol,
         coordinates=found.run.coordinates,
         order=order if tells_order else None,
-        phase=tuple(
-            "" if rests else "unloading" if down else "loading"
-            for rests, down in zip(protocol.is_unloaded, is_unloading, strict=True)
-        )
-        if tells_order
-        else None,
+        phase=_phase(protocol, is_unloading) if tells_order else None,
         comments=(f"blind case, seed {seed}",),
     )
     laxity, facts = _noisy(exact, noise, streams[3])
@@ -363,6 +348,13 @@ def _start(knee: Knee) -> tuple[Array, Array]:
 def _history(protocol: Protocol, generator: np.random.Generator) -> tuple[IntArray, BoolArray]:
     order = np.asarray(generator.permutation(protocol.n) + 1, np.int64)
     return order, generator.random(protocol.n) < 0.5
+
+
+def _phase(protocol: Protocol, is_unloading: BoolArray) -> tuple[str, ...]:
+    return tuple(
+        "" if rests else "unloading" if down else "loading"
+        for rests, down in zip(protocol.is_unloaded, is_unloading, strict=True)
+    )
 
 
 def _drawn(

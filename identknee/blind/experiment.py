@@ -183,17 +183,7 @@ def parameter_derivatives(experiment: Experiment, run: ExperimentRun, n_lines: i
     slopes = np.empty((len(run.poses), 5, 2 * n_lines))
     flexion = _flexion(experiment)
     for i, (R, t) in enumerate(run.poses):
-        lines = experiment.lines[:n_lines]
-        axes = energy.joint_axes(R)
-        columns = []
-        for line in lines:
-            length, arm, slope = energy.line_path(R, t, line)
-            stretch = length / line[REFERENCE_LENGTH]
-            strain = stretch * (1.0 + line[REFERENCE_STRAIN]) - 1.0
-            force, rise, _ = energy.smooth_tension(strain, line[TOE])
-            unit = np.r_[axes @ np.cross(arm, slope) / energy.LEVER, slope]
-            columns.append((1000.0 * force * unit, 0.01 * line[STIFFNESS] * rise * stretch * unit))
-        forces: Array = np.array(columns).transpose(2, 1, 0).reshape(5, -1)
+        forces = _line_parameter_derivatives(R, t, experiment.lines[:n_lines])
         tangent = -np.linalg.solve(run.hessians[i], forces)
         slopes[i] = _coordinate_derivatives(R, t, flexion[i]) @ tangent
     slopes[:, 3:] *= 180.0 / np.pi
@@ -224,8 +214,8 @@ def _flexion(experiment: Experiment) -> Array:
     return angles
 
 
-def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
-    poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
+def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Array:
+    """Coordinates as the rig reads them [mm, deg]; NaN where there is no pose."""
     result = np.full((len(poses), 5), np.nan)
     femur = energy.turned(experiment.femur_turn)
     tibia = energy.turned(experiment.tibia_turn)
@@ -236,8 +226,13 @@ def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
                 :5
             ]
     result[:, 3:] *= 180.0 / np.pi
+    return result + experiment.added
+
+
+def _run(experiment: Experiment, found: list[tuple[Any, ...]]) -> ExperimentRun:
+    poses = [(x[1], x[2]) if x[0] == equilibrium.FOUND else None for x in found]
     return ExperimentRun(
-        coordinates=result + experiment.added,
+        coordinates=_read(experiment, poses),
         ends=tuple(_ENDS[x[0]] for x in found),
         poses=tuple((x[1], x[2]) for x in found),
         hessians=np.array([x[3] for x in found]),
@@ -314,6 +309,21 @@ def _rays(experiment: Experiment, trials: IntArray) -> list[list[int]]:
         direction = stated[i] / sizes[i] if sizes[i] > 0.0 else stated[i]
         groups.setdefault(tuple(np.round(direction, 6) + 0.0), []).append(i)
     return list(groups.values())
+
+
+def _line_parameter_derivatives(R: Array, t: Array, lines: Array) -> Array:
+    """Change of the gradient with stiffness [kN] and strain [%], the pose held; ``(5, 2 l)``."""
+    axes = energy.joint_axes(R)
+    columns = []
+    for line in lines:
+        length, arm, slope = energy.line_path(R, t, line)
+        stretch = length / line[REFERENCE_LENGTH]
+        strain = stretch * (1.0 + line[REFERENCE_STRAIN]) - 1.0
+        force, rise, _ = energy.smooth_tension(strain, line[TOE])
+        unit = np.r_[axes @ np.cross(arm, slope) / energy.LEVER, slope]
+        columns.append((1000.0 * force * unit, 0.01 * line[STIFFNESS] * rise * stretch * unit))
+    slopes: Array = np.array(columns).transpose(2, 1, 0).reshape(5, -1)
+    return slopes
 
 
 def tensions(experiment: Experiment, run: ExperimentRun, n_lines: int) -> Array:

@@ -6,7 +6,6 @@ import io
 import re
 import zlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -27,9 +26,9 @@ from identknee.model.model_for_tests import model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
-from identknee.report.presenter import of_type, presenter_of
-from identknee.report.range import Range
+from identknee.report.presenter import Range, of_type, presenter_of
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
@@ -322,23 +321,13 @@ def _set_of(found: Range | None) -> tuple[float | str, float | str, str]:
 TABLE, POSES = "parameters.tsv", "vtk"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Exported:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    knee
-        The knee as it was written.
-    folder
-        Its subject folder.
-    others
-        Files and folders for other tools.
-    """
-
-    knee: Knee
-    folder: Path
-    others: tuple[Path, ...]
+    knee: Knee = entry("The knee as it was written")
+    folder: Path = entry("Its subject folder")
+    others: tuple[Path, ...] = entry("Files and folders for other tools")
 
 
 def export_knee(

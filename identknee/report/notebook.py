@@ -5,12 +5,11 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from identknee.report.drawing import Drawing
 from identknee.report.figures import png, show_figures
 from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import parts
 from identknee.report.page.results import Findings, Result, drawings
-from identknee.report.presenter import main_statements, statements_of
+from identknee.report.presenter import Drawing, main_statements, statements_of
 from identknee.runs.findings import finding_lines
 from identknee.runs.plain_records import summary_of
 from identknee.runs.record import record

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum, unique
 from math import inf, isinf, sqrt
 
@@ -15,8 +14,15 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
-from identknee.report.presenter import of_type, presenter_of, statements_of
-from identknee.report.range import NOT_CONVERGED, Range, Source
+from identknee.report.presenter import (
+    NOT_CONVERGED,
+    Range,
+    Source,
+    of_type,
+    presenter_of,
+    statements_of,
+)
+from identknee.runs.declare import declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import (
     amount,
@@ -50,20 +56,12 @@ class Relation(Enum):
     OPEN = "leaves it open"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Agreement:
-    """What other methods say of a quantity beside the main one.
+    """What other methods say of a quantity beside the main one."""
 
-    Attributes
-    ----------
-    main
-        What the table shows.
-    others
-        Every other method with how it lies to it.
-    """
-
-    main: Range
-    others: tuple[tuple[Range, Relation], ...]
+    main: Range = entry("What the table shows")
+    others: tuple[tuple[Range, Relation], ...] = entry("Every other method with how it lies to it")
 
     @property
     def differing(self) -> tuple[tuple[Range, Relation], ...]:
@@ -341,61 +339,31 @@ class Tone(Enum):
     WRONG = "wrong"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Row:
-    """A parameter or force in the table.
+    """A parameter or force in the table."""
 
-    Attributes
-    ----------
-    name
-        Its name in results.
-    label
-        The same in words.
-    estimate, limits
-        With their unit.
-    status
-        What is known, in a word or three.
-    agreement
-        Whether methods agree, and if not how they differ.
-    found
-        The same in numbers.
-    """
-
-    name: str
-    label: str
-    estimate: str
-    limits: str
-    status: str
-    agreement: str
-    found: Agreement
+    name: str = entry("Its name in results")
+    label: str = entry("The same in words")
+    estimate: str = entry("Estimate with its unit")
+    limits: str = entry("Set with its unit")
+    status: str = entry("What is known, in a word or three")
+    agreement: str = entry("Whether methods agree, and if not how they differ")
+    found: Agreement = entry("The same in numbers")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Overview:
-    """What all results of one data set say together.
+    """What all results of one data set say together."""
 
-    Attributes
-    ----------
-    verdict
-        One sentence or two; empty where no result says anything of parameters or model.
-    tone
-        How it is meant.
-    rows
-        Parameters, then forces.
-    reasons
-        Why methods differ, in one line; empty where they do not.
-    searches
-        Sentences of fits and searches.
-    next_tests
-        Tests to do, each with what it would bring.
-    """
-
-    verdict: str
-    tone: Tone
-    rows: tuple[Row, ...]
-    reasons: str
-    searches: tuple[str, ...]
-    next_tests: tuple[str, ...]
+    verdict: str = entry(
+        "One sentence or two; empty where no result says anything of parameters or model"
+    )
+    tone: Tone = entry("How it is meant")
+    rows: tuple[Row, ...] = entry("Parameters, then forces")
+    reasons: str = entry("Why methods differ, in one line; empty where they do not")
+    searches: tuple[str, ...] = entry("Sentences of fits and searches")
+    next_tests: tuple[str, ...] = entry("Tests to do, each with what it would bring")
 
 
 def overview(answers: Sequence[Answer]) -> Overview:

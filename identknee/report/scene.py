@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from identknee.mechanics.pose import Placement, place, start_pose
 from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 FEMUR, TIBIA, LIGAMENT = "#8ec7e8", "#5b9bc8", "#c8102e"
@@ -27,19 +28,13 @@ LIGHT = np.array([0.35, 0.45, 0.82])  # right, up, toward the reader
 AMBIENT = 0.55
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class View:
-    """Directions of a parallel projection in femoral axes.
+    """Directions of a parallel projection in femoral axes."""
 
-    Attributes
-    ----------
-    right, up, toward
-        Unit vectors to the right and top of the page and toward the reader, shape ``(3,)``.
-    """
-
-    right: Array
-    up: Array
-    toward: Array
+    right: Array = entry("Unit vector to the right of the page, shape ``(3,)``")
+    up: Array = entry("Unit vector to its top")
+    toward: Array = entry("Unit vector toward the reader")
 
     def project(self, points: Array) -> Array:
         """Right, up and toward the reader [mm] of points ``(..., 3)``, in the same shape."""

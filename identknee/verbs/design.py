@@ -22,21 +22,10 @@ from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, ty
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Level,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
@@ -125,8 +114,8 @@ class Design(Answer):
 @verb
 def design(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_trials: Annotated[int, option("Number of trials to add.", least=1)] = 4,
     targets: Annotated[
@@ -154,13 +143,13 @@ def design(
             "compression and pairs of loads at 0 to 120 deg, and repeats."
         ),
     ] = None,
-    level: Level = 0.95,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    level: options.Level = 0.95,
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 

@@ -1,7 +1,7 @@
 """What a diagnosis gives back: the verdict with all that it stands on."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -444,22 +444,16 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
     return suspicious_rows(leave_one_out(rows, jacobian, columns), *np.nonzero(measured))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Comparison:
-    """The verdict on other trials than those of a diagnosis.
+    """The verdict on other trials than those of a diagnosis."""
 
-    Attributes
-    ----------
-    knee
-        The subject.
-    starts, effects, seed
-        As in `identknee.diagnosis.investigation.investigate`, which is done again.
-    """
-
-    knee: Knee
-    starts: Sequence[Array]
-    effects: Sequence[Effect] | None
-    seed: int
+    knee: Knee = entry("The subject")
+    starts: Sequence[Array] = entry(
+        "As in `identknee.diagnosis.investigation.investigate`, which is done again"
+    )
+    effects: Sequence[Effect] | None = entry("The same")
+    seed: int = entry("The same")
 
     def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
         """The rows that the fit contradicts, with the verdict that the other trials have."""

@@ -20,6 +20,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
     Identification,
@@ -28,18 +29,7 @@ from identknee.verbs.identification import (
     no_prediction,
 )
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.values import BoundsLike, bounds_of, check_word
 from identknee.verbs.verb import Run, verb
 
@@ -87,8 +77,8 @@ class Equivalents(Answer):
 @verb
 def equivalents(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_sets: Annotated[int, option("Number of parameter sets to find.", least=2)] = 100,
     criterion: Annotated[
@@ -117,12 +107,12 @@ def equivalents(
         TrialsLike | None,
         trials_option("Trials of the forces, if not those of the data: {}."),
     ] = None,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Equivalents:
     """Parameter sets that the data cannot distinguish, as different as possible.
 

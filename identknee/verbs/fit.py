@@ -51,18 +51,9 @@ from identknee.runs.findings import Finding
 from identknee.runs.outcome import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
+from identknee.verbs import options
 from identknee.verbs.identification import with_noise
-from identknee.verbs.options import (
-    LOAD_STEPS,
-    Bounds,
-    Data,
-    KneeOptions,
-    Method,
-    Noise,
-    Seed,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
 from identknee.verbs.verb import Run, verb, warm_up
@@ -348,8 +339,8 @@ class Calibration(SimulatedLaxity):
 @verb
 def fit(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     start: Annotated[
         str,
@@ -358,7 +349,7 @@ def fit(
             "ending in .toml."
         ),
     ] = "subject",
-    method: Method = "least-squares",
+    method: options.Method = "least-squares",
     budget: Annotated[
         int | None, option("Largest number of simulations; 2,500 if not given.")
     ] = None,
@@ -370,7 +361,7 @@ def fit(
             in_python="Always noise with --noise.",
         ),
     ] = "unit",
-    noise: Noise = None,
+    noise: options.Noise = None,
     likelihood: Annotated[
         Likelihood,
         option(
@@ -394,7 +385,7 @@ def fit(
             metavar="NAME",
         ),
     ] = None,
-    bounds: Bounds = None,
+    bounds: options.Bounds = None,
     hold_out: Annotated[
         Sequence[str] | None,
         option(
@@ -404,9 +395,9 @@ def fit(
             metavar="TRIAL",
         ),
     ] = None,
-    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 

@@ -1,7 +1,7 @@
 """Measured laxity and the model of it in units of the noise: what verbs of inference share."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.shared_errors import has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
@@ -57,45 +58,35 @@ BRIEF = 60
 Sizes = tuple[float | None, float | None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Identification:
-    """Measured laxity and the model of it, ready to be asked what they determine.
+    """Measured laxity and the model of it, ready to be asked what they determine."""
 
-    Attributes
-    ----------
-    knee, laxity, model
-        The subject, the data and the model under the protocol of the data.
-    problem
-        Residuals in units of their noise, over the parameters not fixed.
-    free
-        The parameters of the problem, and the values of those of the model that are fixed.
-    start
-        Where fits begin, shape ``(n,)``.
-    degrees_of_freedom
-        Degrees of freedom of a noise estimated from the fit; None where the noise is stated.
-    estimated_noise
-        Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
-        such coordinate was measured.
-    assumptions
-        Assumptions, as sentences for the user.
-    lost
-        Which measured trials have no equilibrium and blank cells in `laxity`, as findings.
-    nuisances_at
-        Where the nuisances were averaged over: the problem that has them, and its best fit; None
-        where they are among the parameters.
-    """
-
-    knee: Knee
-    laxity: Laxity
-    model: LaxityModel
-    problem: Problem
-    free: FreeParameters
-    start: Array
-    degrees_of_freedom: int | None
-    estimated_noise: Sizes
-    assumptions: tuple[str, ...]
-    lost: tuple[Finding, ...] = ()
-    nuisances_at: tuple[Problem, Array] | None = None
+    knee: Knee = entry("The subject")
+    laxity: Laxity = entry("The data")
+    model: LaxityModel = entry("The model under the protocol of the data")
+    problem: Problem = entry("Residuals in units of their noise, over the parameters not fixed")
+    free: FreeParameters = entry(
+        "The parameters of the problem, and the values of those of the model that are fixed"
+    )
+    start: Array = entry("Where fits begin, shape ``(n,)``")
+    degrees_of_freedom: int | None = entry(
+        "Degrees of freedom of a noise estimated from the fit; None where the noise is stated"
+    )
+    estimated_noise: Sizes = entry(
+        "Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or "
+        "no such coordinate was measured"
+    )
+    assumptions: tuple[str, ...] = entry("Assumptions, as sentences for the user")
+    lost: tuple[Finding, ...] = entry(
+        "Which measured trials have no equilibrium and blank cells in `laxity`, as findings",
+        default=(),
+    )
+    nuisances_at: tuple[Problem, Array] | None = entry(
+        "Where the nuisances were averaged over: the problem that has them, and its best fit; "
+        "None where they are among the parameters",
+        default=None,
+    )
 
     @property
     def trials_used(self) -> tuple[str, ...]:

@@ -21,17 +21,9 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import (
-    Fixed,
-    MaybeData,
-    RunOptions,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
 
 
@@ -53,8 +45,8 @@ class GlobalSensitivity(Answer):
 @not_resume_relevant("method", "samples")
 def sensitivity(
     run: Run,
-    subject: Subject,
-    data: MaybeData = None,
+    subject: options.Subject,
+    data: options.MaybeData = None,
     *,
     protocol: Annotated[
         TrialsLike | None,
@@ -83,10 +75,10 @@ def sensitivity(
             typed=Path | None,
         ),
     ] = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    seed: Seed = 0,
-    **_: Unpack[RunOptions],
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.RunOptions],
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 

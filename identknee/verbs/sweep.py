@@ -17,20 +17,10 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Method,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]
@@ -63,11 +53,11 @@ class Sweep(Answer):
 @not_resume_relevant("within", "paths")
 def sweep(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_starts: Annotated[int, option("Number of starts.", least=1)] = 1000,
-    method: Method = "least-squares",
+    method: options.Method = "least-squares",
     design: Annotated[
         Design,
         option(
@@ -102,12 +92,12 @@ def sweep(
             "For how many starts to search the straight path to the best fit for cliffs.", least=0
         ),
     ] = 100,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 

@@ -9,10 +9,7 @@ from typing_extensions import override
 from identknee.laxity.protocol import Protocol
 from identknee.report.answers.profile import parameter_statements, profile_drawings, profile_range
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Drawing, Presenter, Question, Range, Statement
 from identknee.report.tables import table
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee

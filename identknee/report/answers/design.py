@@ -1,7 +1,7 @@
 """Which trials to measure next, and what they would tell."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,15 @@ from typing_extensions import override
 from identknee.identify.nuisances import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_description
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import Table, table
-from identknee.report.words import counted, interval_words, times, trial_list
 from identknee.runs.arrays import Array
 from identknee.runs.marginalise import SHARE
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import (
     capitalised,
     error_words,
+    interval,
     label,
     label_without_unit,
     listed,
@@ -30,6 +28,47 @@ from identknee.runs.words import (
 from identknee.subject.knee import Knee
 from identknee.verbs.design import ADVICE, Design
 from identknee.verbs.values import AdvisedTrial
+
+
+def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
+    """Trials to do, the beginning of a sentence."""
+    return capitalised(counted(map(trial_description, trials)))
+
+
+def counted(told: Iterable[str]) -> str:
+    """A list in which what comes more than once stands once, with how often.
+
+    Examples
+    --------
+    >>> counted(["a", "b", "a"])
+    'a (twice) and b'
+    """
+    counts = Counter(told)
+    return listed(x if n == 1 else f"{x} ({times(n)})" for x, n in counts.items())
+
+
+def times(n: int) -> str:
+    """How often, in words.
+
+    Examples
+    --------
+    >>> times(1), times(2), times(3)
+    ('once', 'twice', '3 times')
+    """
+    return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
+def interval_words(lower: float | None, upper: float | None, unit: str) -> str:
+    """An interval as what a quantity is, open ends included.
+
+    Examples
+    --------
+    >>> interval_words(9.5, 10.5, "kN"), interval_words(None, None, "kN")
+    ('9.5 to 10.5 kN', 'open on both sides')
+    """
+    if lower is None and upper is None:
+        return "open on both sides"
+    return interval((lower, upper), unit)
 
 
 def trials_words(trials: Sequence[AdvisedTrial]) -> str:

@@ -15,14 +15,18 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
-from identknee.report.answers.design import sizes_words, trial_table, trials_words
+from identknee.report.answers.design import sizes_words, trial_list, trial_table, trials_words
 from identknee.report.answers.isolability import SIZES, detectable_sizes
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range, Source, open_ends_text
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+    open_ends_text,
+)
 from identknee.report.tables import Table, table
-from identknee.report.words import trial_list
 from identknee.runs.arrays import Array
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import (

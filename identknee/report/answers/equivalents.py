@@ -8,10 +8,16 @@ from typing_extensions import override
 from identknee.identify.equivalents import Extrema
 from identknee.identify.extremum import ExtremumEnd
 from identknee.laxity.table import COORDINATES
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Band, Presenter
-from identknee.report.range import SDS_95, Range, Source
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import (
+    SDS_95,
+    Band,
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+)
 from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,

@@ -11,8 +11,7 @@ from identknee.checks.fit_warnings import AT_END
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.zero_conventions import from_zero
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.presenter import Presenter, of_type, presenter_of
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Presenter, Question, Statement, of_type, presenter_of
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity

@@ -6,10 +6,15 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.geodesic import Boundary
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import SDS_95, Range, Source
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import (
+    SDS_95,
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+)
 from identknee.report.tables import Table, table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee

@@ -8,12 +8,9 @@ from typing_extensions import override
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.design import trial_table, trials_words
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.answers.design import trial_list, trial_table, trials_words
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import table
-from identknee.report.words import trial_list
 from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee

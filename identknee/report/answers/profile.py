@@ -6,10 +6,15 @@ from dataclasses import replace
 from typing_extensions import override
 
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range, Source, open_ends_text
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+    open_ends_text,
+)
 from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,

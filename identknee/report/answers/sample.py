@@ -6,10 +6,16 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.posterior.convergence import SampleOutcome
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Band, Presenter
-from identknee.report.range import NOT_CONVERGED, Range, Source
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import (
+    NOT_CONVERGED,
+    Band,
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+)
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words

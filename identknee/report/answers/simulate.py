@@ -9,8 +9,7 @@ from typing_extensions import override
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.zero_conventions import ABSOLUTE, from_zero
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Presenter, Question, Statement
 from identknee.report.tables import table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import amount, label_without_unit, listed, unit_of

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Presenter, Question, Statement
 from identknee.subject.knee import Knee
 from identknee.verbs.subject import SettledSubject, SubjectCheck, SubjectFacts
 

@@ -8,9 +8,7 @@ from typing_extensions import override
 
 from identknee.identify.basins import END, POLISHED, Recovery, Survey
 from identknee.identify.sweep import OUTCOMES
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import Cell, Table, table
 from identknee.runs.outcome import Outcome
 from identknee.runs.words import label, listed

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-from identknee.report.drawing import Drawing
 from identknee.report.laxity_figures import (
     LaxityCurves,
     all_coordinates_figure,
@@ -10,7 +9,7 @@ from identknee.report.laxity_figures import (
     by_flexion_figure,
 )
 from identknee.report.page.results import Findings, Result
-from identknee.report.presenter import of_type, presenter_of
+from identknee.report.presenter import Drawing, of_type, presenter_of
 from identknee.runs.words import listed
 from identknee.verbs.diagnosis import Diagnosis
 

@@ -12,7 +12,6 @@ from markupsafe import Markup
 
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
-from identknee.report.drawing import Drawing
 from identknee.report.overview import (
     KNOWN,
     Overview,
@@ -26,8 +25,15 @@ from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, by_subject, drawings
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import KneeScene, viewer_html
-from identknee.report.presenter import of_type, presenter_of, statements_of
-from identknee.report.statement import Question, Statement, assumption_sentences
+from identknee.report.presenter import (
+    Drawing,
+    Question,
+    Statement,
+    assumption_sentences,
+    of_type,
+    presenter_of,
+    statements_of,
+)
 from identknee.report.tables import table
 from identknee.runs.finding_kinds import About
 from identknee.runs.findings import Finding, Severity, by_severity

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from identknee.laxity.protocol import Protocol
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import presenter_of
+from identknee.report.presenter import Drawing, presenter_of
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json

@@ -12,8 +12,7 @@ from identknee.identify.profile.result import Interval, Profile, ProfileVerdict,
 from identknee.report.answers.profile import parameter_statements
 from identknee.report.page.page import report_html, warnings
 from identknee.report.page.results import found_results
-from identknee.report.presenter import statements_of
-from identknee.report.statement import Question
+from identknee.report.presenter import Question, statements_of
 from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
