@@ -173,7 +173,7 @@ class Presenter(Generic[Given]):
     Attributes
     ----------
     question
-        The part of the page where their figures stand.
+        The part of the page where their figures stand, and what `say` says.
     questions
         Figures that stand elsewhere, by their names.
     is_folded
@@ -187,6 +187,12 @@ class Presenter(Generic[Given]):
     def statements(self, answer: Given) -> Iterator[Statement]:
         """What the answer says, its main sentence first."""
         raise NotImplementedError
+
+    def say(self, sentence: str, *tables: Table, is_answer: bool = False) -> Statement:
+        """A statement in the part of the page where such answers stand."""
+        return Statement(
+            question=self.question, sentence=sentence, tables=tables, is_answer=is_answer
+        )
 
     def drawings(self, _answer: Given, _subject: str, _knee: Knee | None) -> Iterator[Drawing]:
         """All figures, the most telling first, with name and knee of the subject if known."""

@@ -15,8 +15,7 @@ from identknee.runs.files import PathLike
 from identknee.subject.uncertainty import UncertainLike
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnose import diagnose_data
-from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.diagnosis import Diagnosis, diagnose_data
 from identknee.verbs.options import documented, option, trials_option
 from identknee.verbs.values import AdvisedTrial, NoiseLike, advised, noise_of
 from identknee.verbs.verb import Run, verb, warm_up

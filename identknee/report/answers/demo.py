@@ -104,7 +104,6 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def drawings(self, answer: Demonstration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Errors of the fits, then the profiles."""
         from identknee.report.sweep_figures import starts_figure
 
         methods = listed(dict.fromkeys(x.method for x in answer.starts))
@@ -122,12 +121,10 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def curves(self, answer: Demonstration, beside: Sequence[Answer]) -> "LaxityCurves":
-        """The laxity simulated."""
         return simulated_curves(answer)
 
     @override
     def pictures(self, answer: Demonstration, knee: Knee) -> dict[str, "Figure"]:
-        """The starts, the profiles and the knee."""
         from identknee.report.profile_figures import profiles_figure
         from identknee.report.scene import scene
         from identknee.report.sweep_figures import starts_figure
@@ -140,15 +137,12 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def ranges(self, answer: Demonstration) -> Iterator[tuple[str, Range]]:
-        """The set of each parameter."""
         yield from ((x.name, profile_range(x)) for x in answer.profiles.values())
 
     @override
     def headline(self, answer: Demonstration) -> str:
-        """What it was made to show."""
         return next(self.statements(answer)).sentence
 
     @override
     def protocol(self, answer: Demonstration) -> Protocol:
-        """The trials simulated."""
         return answer.protocol

@@ -215,29 +215,36 @@ class DesignPresenter(Presenter[Design]):
         narrowing_words = f"{words} {'stays' if now == then else 'would then be'} {then}" + (
             "." if now == then else f"; it is {now} now."
         )
-        yield Statement(
-            question=Question.NEXT,
-            sentence=f"Next test for {targets}: {trials}. "
+        yield self.say(
+            f"Next test for {targets}: {trials}. "
             f"{narrowing_words} {ADVICE} lists the "
             "trials, to be filled in and appended to the data.",
-            tables=(
-                _targets(answer),
-                table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
+            table(
+                "Intervals of the targets",
+                ("target", "now", "predicted", "simulated"),
+                (
+                    (
+                        label(x),
+                        _ends(choice.before[x].lower, choice.before[x].upper),
+                        _ends(*choice.predicted_ends[x]),
+                        _ends(choice.after[x].lower, choice.after[x].upper),
+                    )
+                    for x in choice.targets
+                ),
             ),
+            table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
             is_answer=True,
         )
         yield from better_known_statements(answer)
         if choice.excluded:
-            yield Statement(
-                question=Question.NEXT,
-                sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were "
+            yield self.say(
+                f"{len(choice.excluded)} of {choice.n_candidates} candidates were "
                 "excluded; "
-                f"for example, {choice.excluded[0].sentence}",
+                f"for example, {choice.excluded[0].sentence}"
             )
 
     @override
     def drawings(self, answer: Design, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """What the advised trials would bring, and all that were to choose from."""
         from identknee.report.design_figures import (
             candidates_figure,
             intervals_figure,
@@ -284,7 +291,6 @@ class DesignPresenter(Presenter[Design]):
 
     @override
     def next_tests(self, answer: Design) -> Iterator[str]:
-        """The trials, and how they narrow the first target."""
         choice = answer.choice
         name = choice.targets[0]
         before, after = choice.before[name], choice.after[name]

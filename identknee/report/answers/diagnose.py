@@ -356,12 +356,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
     @override
     def statements(self, answer: Diagnosis) -> Iterator[Statement]:
         """The verdict, where the misfit is, what the cause changes, and what trials would tell."""
-        yield Statement(
-            question=Question.WRONG,
-            sentence=verdict_sentence(answer),
-            tables=_verdict_tables(answer),
-            is_answer=True,
-        )
+        yield self.say(verdict_sentence(answer), *_verdict_tables(answer), is_answer=True)
         if answer.misfit is not None and answer.misfit.cells:
             yield _where(answer.misfit)
         # Null where no trial could be held out.
@@ -372,7 +367,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
         if (whichever := _parameters_by_explanation(answer)) is not None:
             yield whichever
         if answer.noise is not None:
-            yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
+            yield self.say(answer.noise.sentence)
         if answer.effects:
             yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
         if answer.advised_trials:
@@ -463,14 +458,12 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def pictures(self, answer: Diagnosis, knee: Knee) -> dict[str, "Figure"]:
-        """All figures of a diagnosis."""
         from identknee.report.diagnosis_figures import diagnosis_figures
 
         return diagnosis_figures(answer, knee)
 
     @override
     def ranges(self, answer: Diagnosis) -> Iterator[tuple[str, Range]]:
-        """The interval of each parameter, without and with the causes."""
         pairs = [(Source.DIAGNOSIS, answer.parameters_before, answer.parameters_before_ci95)]
         if answer.causes:
             pairs += [(Source.CAUSE, answer.parameters_after, answer.parameters_after_ci95)]
@@ -486,18 +479,15 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def next_tests(self, answer: Diagnosis) -> Iterator[str]:
-        """The trials that would tell causes apart."""
         if answer.advised_trials:
             said = "" if answer.advice is None else f" {answer.advice.sentence}"
             yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{said}"
 
     @override
     def protocol(self, answer: Diagnosis) -> Protocol | None:
-        """The trials tested."""
         return None if answer.trials is None else answer.trials.protocol
 
     @override
     def missing_line(self, answer: Diagnosis, knee: Knee) -> Array | None:
-        """Ends of the line found."""
         line = answer.line
         return line.in_common_frame(knee) if line is not None and line.is_line else None

@@ -13,7 +13,6 @@ from identknee.report.presenter import (
     Band,
     Drawing,
     Presenter,
-    Question,
     Range,
     Source,
     Statement,
@@ -102,12 +101,9 @@ class EquivalentsPresenter(Presenter[Equivalents]):
     def statements(self, answer: Equivalents) -> Iterator[Statement]:
         """The least known stiffness and the sets, then the least known force."""
         region = answer.region
-        yield Statement(
-            question=Question.KNOWN,
-            sentence=" ".join(
-                [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
-            ),
-            tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
+        yield self.say(
+            " ".join([*_least_determined_sentence(region.parameters.values()), *_sets(answer)]),
+            _table(region.parameters.values(), "Ranges over all equivalent sets"),
             is_answer=True,
         )
         forces = _widest_first(region.quantities.values())
@@ -117,16 +113,14 @@ class EquivalentsPresenter(Presenter[Equivalents]):
                 f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
                 * (len(forces) > MOST_FORCES)
             )
-            yield Statement(
-                question=Question.KNOWN,
-                sentence=f"Among such sets, {parameter_words(widest.name)} lies anywhere "
+            yield self.say(
+                f"Among such sets, {parameter_words(widest.name)} lies anywhere "
                 f"{between(_ends(widest), widest.unit)}.{several}",
-                tables=(_table(shown, "Forces that differ most"),),
+                _table(shown, "Forces that differ most"),
             )
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """The sets, and the ranges of forces."""
         from identknee.report.equivalents_figures import ranges_figure, sets_figure
 
         region, names = answer.region, answer.region.parameter_names
@@ -162,12 +156,10 @@ class EquivalentsPresenter(Presenter[Equivalents]):
 
     @override
     def band(self, answer: Equivalents) -> Band:
-        """All that the sets predict."""
         return "equivalent sets", answer.coordinates, (0.0, 1.0)
 
     @override
     def ranges(self, answer: Equivalents) -> Iterator[tuple[str, Range]]:
-        """From the smallest to the largest value of each quantity."""
         reach = answer.region.limit / SDS_95**2 if answer.criterion == "noise" else None
         for x in answer.region.extrema:
             yield (

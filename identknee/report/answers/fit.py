@@ -69,12 +69,14 @@ def _band(
 class CalibrationPresenter(Presenter[Calibration]):
     """How a fit is shown."""
 
+    question = Question.SEARCH
+
     @override
     def statements(self, answer: Calibration) -> Iterator[Statement]:
         """How well the fit reproduces the data, and how the search ended."""
         if answer.outcome is Outcome.START_FAILED:
             # What the search began with is no fit, and its error is that of the other trials.
-            yield Statement(question=Question.SEARCH, sentence=answer.sentence, is_answer=True)
+            yield self.say(answer.sentence, is_answer=True)
             return
         sizes = ((answer.rmse.mm, "mm"), (answer.rmse.deg, "deg"))
         errors = [
@@ -92,23 +94,20 @@ class CalibrationPresenter(Presenter[Calibration]):
         rows = zip(
             answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True
         )
-        yield Statement(
-            question=Question.SEARCH,
-            sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
+        yield self.say(
+            f"The best fit reproduces the measured laxity to {listed(errors)} on average "
             f"(RMSE over {answer.rmse.n_compared} measured value{plural}). "
             f"{answer.sentence}{caution}",
-            tables=(
-                table(
-                    "Fitted parameters",
-                    ("parameter", ("start", None), ("fitted", None), "remark"),
-                    (
-                        (label(name), start, end, notes.get(name, ""))
-                        for name, start, end in rows
-                        if name not in nuisances
-                    ),
+            table(
+                "Fitted parameters",
+                ("parameter", ("start", None), ("fitted", None), "remark"),
+                (
+                    (label(name), start, end, notes.get(name, ""))
+                    for name, start, end in rows
+                    if name not in nuisances
                 ),
-                *nuisance_tables(answer),
             ),
+            *nuisance_tables(answer),
             is_answer=True,
         )
         if answer.held_out is not None:
@@ -126,17 +125,14 @@ class CalibrationPresenter(Presenter[Calibration]):
             )
             shown = f" {share}" if sizes_held else ""
             to = f", to {listed(sizes_held)} on average (RMSE)" if sizes_held else ""
-            yield Statement(
-                question=Question.SEARCH,
-                sentence=f"The fit predicts {len(held.trials)} held-out trials{to}.{lost}{shown}",
-                tables=(
-                    table(
-                        "Trials held out",
-                        ("value", ("measured", 2), ("predicted", 2), ("sd", 2)),
-                        (
-                            (f"{label(x.coordinate)} in {x.trial}", x.measured, x.predicted, x.sd)
-                            for x in held.values
-                        ),
+            yield self.say(
+                f"The fit predicts {len(held.trials)} held-out trials{to}.{lost}{shown}",
+                table(
+                    "Trials held out",
+                    ("value", ("measured", 2), ("predicted", 2), ("sd", 2)),
+                    (
+                        (f"{label(x.coordinate)} in {x.trial}", x.measured, x.predicted, x.sd)
+                        for x in held.values
                     ),
                 ),
             )
@@ -161,5 +157,4 @@ class CalibrationPresenter(Presenter[Calibration]):
 
     @override
     def protocol(self, answer: Calibration) -> Protocol:
-        """The trials fitted to."""
         return answer.protocol

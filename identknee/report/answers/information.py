@@ -10,12 +10,11 @@ from identknee.report.presenter import (
     SDS_95,
     Drawing,
     Presenter,
-    Question,
     Range,
     Source,
     Statement,
 )
-from identknee.report.tables import Table, table
+from identknee.report.tables import table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
@@ -36,10 +35,6 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
         Boundary.CLIFF: f"at {words}: beyond this point the model has no prediction",
         Boundary.BUDGET: f"at {words}, because the budget of simulations was exhausted",
     }[boundary]
-
-
-def _known(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
 def _combination_words(combination: str, names: Sequence[str]) -> str:
@@ -65,13 +60,13 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
             pair = found.most_collinear[0]
             words = listed(map(parameter_words, pair.parameters))
             alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
-        yield _known(
+        yield self.say(
             f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
             f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
             "prediction."
             f"{alike}"
         )
-        yield _known(
+        yield self.say(
             f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the "
             "solver"
             f". Their condition number is {found.condition:.3g}.",
@@ -84,7 +79,7 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
                 ),
             ),
         )
-        yield _known(
+        yield self.say(
             "These standard deviations linearise the model at the best fit; profiles do not.",
             table(
                 "Parameters around the best fit",
@@ -98,7 +93,7 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
             ),
         )
         for path in answer.geodesics:
-            yield _known(
+            yield self.say(
                 "The geodesic along the least-determined combination ends "
                 f"{_end(path.boundary, path.involved)}."
             )
@@ -107,7 +102,6 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
     def drawings(
         self, answer: LocalIdentifiability, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        """The eigenvalues and the eigenvectors."""
         from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
 
         found = answer.fisher
@@ -129,7 +123,6 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
 
     @override
     def ranges(self, answer: LocalIdentifiability) -> Iterator[tuple[str, Range]]:
-        """1.96 standard errors around each parameter."""
         found = answer.fisher
         for name, best, sd in zip(
             found.parameter_names, found.theta.tolist(), found.sd.tolist(), strict=True

@@ -72,9 +72,7 @@ class IsolabilityPresenter(Presenter[Isolability]):
         said = "would distinguish all causes."
         if answer.groups:
             said = f"could not distinguish all causes. These are confounded: {together}."
-        yield Statement(
-            question=Question.WRONG, sentence=f"{trials} {said}", tables=(shown,), is_answer=True
-        )
+        yield self.say(f"{trials} {said}", shown, is_answer=True)
         for group in answer.groups:
             if group.advised_trials:
                 yield Statement(
@@ -88,7 +86,6 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Which causes the trials could tell apart."""
         from identknee.report.diagnosis_figures import isolability_figure
 
         yield Drawing(
@@ -101,14 +98,12 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
-        """The same as a file."""
         from identknee.report.diagnosis_figures import isolability_figure
 
         return {"isolability": isolability_figure(distances_of(answer))}
 
     @override
     def next_tests(self, answer: Isolability) -> Iterator[str]:
-        """The trials that would tell causes apart."""
         for group in answer.groups:
             if group.advised_trials:
                 trials = trial_list([summary_of(x) for x in group.advised_trials])

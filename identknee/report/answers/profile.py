@@ -225,33 +225,28 @@ class ProfilesPresenter(Presenter[Profiles]):
         yield from parameter_statements(tuple(answer.parameters.values()))
         profiles = tuple(answer.quantities.values())
         if profiles:
-            yield Statement(
-                question=Question.KNOWN,
-                sentence=_quantity_sentences(profiles),
-                tables=(_table(profiles, "Forces and laxities that the data do not exclude"),),
+            yield self.say(
+                _quantity_sentences(profiles),
+                _table(profiles, "Forces and laxities that the data do not exclude"),
             )
         for pair in answer.pairs:
             closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
             names = listed(map(parameter_words, pair.names))
-            yield Statement(
-                question=Question.KNOWN,
-                sentence=f"The joint set of {names} is bounded along {closed} of {len(pair.rays)} "
-                "paths from the best pair.",
+            yield self.say(
+                f"The joint set of {names} is bounded along {closed} of {len(pair.rays)} "
+                "paths from the best pair."
             )
 
     @override
     def drawings(self, answer: Profiles, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Intervals and curves."""
         yield from profile_drawings(answer.profiles)
 
     @override
     def ranges(self, answer: Profiles) -> Iterator[tuple[str, Range]]:
-        """The set of each quantity."""
         yield from ((x.name, profile_range(x)) for x in answer.profiles)
 
     @override
     def joined(self, first: Profiles, later: Profiles) -> Profiles:
-        """Both together; what both have counts as the later has it."""
         return replace(
             first,
             parameters={**first.parameters, **later.parameters},

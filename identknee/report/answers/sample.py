@@ -11,12 +11,11 @@ from identknee.report.presenter import (
     Band,
     Drawing,
     Presenter,
-    Question,
     Range,
     Source,
     Statement,
 )
-from identknee.report.tables import Table, table
+from identknee.report.tables import table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
@@ -38,10 +37,6 @@ CONDITIONS = {
     "rhat": "R-hat between half ensembles, at most",
     "mean_error": "Monte Carlo error of a mean [standard deviations], at most",
 }
-
-
-def _statement(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
 
 
 def _is_reliable(answer: Sample) -> str:
@@ -84,7 +79,7 @@ class SamplePresenter(Presenter[Sample]):
     def statements(self, answer: Sample) -> Iterator[Statement]:
         """What is probable, whether the sample converged, and what the prior excludes."""
         if answer.last_check is None:
-            yield _statement(_is_reliable(answer))
+            yield self.say(_is_reliable(answer))
             return
         marginals = answer.parameters
         names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
@@ -97,7 +92,7 @@ class SamplePresenter(Presenter[Sample]):
             f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
         )
         heads = ("parameter", "mean", "sd", "2.5 %", "97.5 %", "R-hat", "effective draws")
-        yield _statement(
+        yield self.say(
             f"Given the prior and the data, {probable}. {_is_reliable(answer)}",
             table(
                 "Posterior of the parameters",
@@ -109,7 +104,7 @@ class SamplePresenter(Presenter[Sample]):
             ),
         )
         check = answer.last_check
-        yield _statement(
+        yield self.say(
             f"Each walker made {check.steps} steps, of which the first {check.burn_in} were "
             "discarded; "
             f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
@@ -122,11 +117,11 @@ class SamplePresenter(Presenter[Sample]):
                 ),
             ),
         )
-        yield _statement(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
+        yield self.say(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
         if answer.nested is not None:
             nested = answer.nested
             worst = float(np.max(np.abs(nested.quantile_differences)))
-            yield _statement(
+            yield self.say(
                 f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
                 f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint "
                 "standard errors at most."
@@ -134,7 +129,6 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def drawings(self, answer: Sample, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Prior and posterior, pairs of parameters, and forces."""
         from identknee.report.sample_figures import (
             corner_figure,
             forces_figure,
@@ -182,7 +176,6 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def band(self, answer: Sample) -> Band | None:
-        """Predictions of the posterior."""
         if answer.predictive is None:
             return None
         values = answer.predictive.coordinates
@@ -190,7 +183,6 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def ranges(self, answer: Sample) -> Iterator[tuple[str, Range]]:
-        """The central 95 % of each parameter and force."""
         status = "probable" if answer.outcome is SampleOutcome.CONVERGED else NOT_CONVERGED
         for name, x in answer.parameters.items():
             yield (

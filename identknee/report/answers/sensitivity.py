@@ -49,10 +49,6 @@ def _missing(found: Sensitivity) -> str:
     return f" Half-widths of 0.02 in every group would take about {rounded} more simulations."
 
 
-def _statement(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.LAXITY, sentence=sentence, tables=tables)
-
-
 def _most_influential(answer: GlobalSensitivity) -> str:
     found = answer.analysis
     entries = found.largest[OF_MAIN_INTEREST[found.method]]
@@ -117,18 +113,18 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
         found = answer.analysis
         if found.share_failed == 1.0:
             # Indices of means alone would be numbers about nothing.
-            yield _statement(
+            yield self.say(
                 f"None of the {found.n_simulations} simulations has a prediction in every trial, "
                 "so no "
                 "index can be given."
             )
             return
-        yield _statement(
+        yield self.say(
             f"{_most_influential(answer)} The largest index of each parameter is "
             f"{MEANINGS[found.method]}.",
             _table(answer),
         )
-        yield _statement(
+        yield self.say(
             f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
             f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
         )
@@ -137,7 +133,6 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
     def drawings(
         self, answer: GlobalSensitivity, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        """The influence of each parameter, and the largest effects."""
         from identknee.report.sensitivity_figures import effects_figure, map_figure
 
         found = answer.analysis

@@ -43,6 +43,8 @@ def simulated_curves(answer: SimulatedLaxity, data: Laxity | None = None) -> "La
 class SimulationPresenter(Presenter[Simulation]):
     """How a simulation is shown."""
 
+    question = Question.LAXITY
+
     @override
     def statements(self, answer: Simulation) -> Iterator[Statement]:
         """How many trials have an equilibrium."""
@@ -56,10 +58,8 @@ class SimulationPresenter(Presenter[Simulation]):
         stable = [x for x in answer.trials if x.outcome is Outcome.CONVERGED]
         margins = [x.margin_N_per_mm for x in stable if np.isfinite(x.margin_N_per_mm)]
         lowest = f" The least stable has a margin of {min(margins):.3g} N/mm." if margins else ""
-        yield Statement(
-            question=Question.LAXITY,
-            sentence=f"{_how_many(answer)} a stable pose.{blank}{lowest}",
-            tables=(reasons,) if lost else (),
+        yield self.say(
+            f"{_how_many(answer)} a stable pose.{blank}{lowest}", *((reasons,) if lost else ())
         )
         if answer.rmse is not None and answer.rmse.n_compared:
             error = answer.rmse
@@ -76,19 +76,16 @@ class SimulationPresenter(Presenter[Simulation]):
             missing = f"; {error.n_missing} have no prediction" if error.n_missing else ""
             sizes = ((error.mm, "mm"), (error.deg, "deg"))
             errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
-            yield Statement(
-                question=Question.LAXITY,
-                sentence=f"The prediction is off by {listed(errors)} on average (RMSE over "
+            yield self.say(
+                f"The prediction is off by {listed(errors)} on average (RMSE over "
                 f"{error.n_compared} measured values{missing}).",
-                tables=(by_coordinate,),
+                by_coordinate,
             )
 
     @override
     def curves(self, answer: Simulation, beside: Sequence[Answer]) -> "LaxityCurves":
-        """The laxity simulated, and with noise if that was added."""
         return simulated_curves(answer, answer.noisy)
 
     @override
     def protocol(self, answer: Simulation) -> Protocol:
-        """The trials simulated."""
         return answer.protocol

@@ -36,12 +36,10 @@ class SubjectPresenter(Presenter[SubjectFacts]):
 
     @override
     def statements(self, answer: SubjectFacts) -> Iterator[Statement]:
-        """What the answer says."""
         yield from subject_statements(answer)
 
     @override
     def pictures(self, answer: SubjectFacts, knee: Knee) -> dict[str, "Figure"]:
-        """The knee in its scanned pose."""
         from identknee.report.scene import scene
 
         return {"scene": scene(knee)}
@@ -52,7 +50,6 @@ class SubjectCheckPresenter(Presenter[SubjectCheck]):
 
     @override
     def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
-        """What the answer says."""
         yield from check_statements(answer)
 
 
@@ -67,4 +64,4 @@ class SettledSubjectPresenter(Presenter[SettledSubject]):
             f"lowest stability margin is {answer.lowest_margin:.3g} N/mm."
         )
         moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
-        yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *moved]))
+        yield self.say("\n".join([sentence, *moved]))

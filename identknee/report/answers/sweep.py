@@ -26,12 +26,6 @@ ENDED = {
 SEARCHES = {END: "the search itself", POLISHED: "the polished search"}
 
 
-def _statement(sentence: str, *tables: Table, is_answer: bool = False) -> Statement:
-    return Statement(
-        question=Question.SEARCH, sentence=sentence, tables=tables, is_answer=is_answer
-    )
-
-
 def _kinds(survey: Survey) -> Table:
     searches = survey.searches
     return table(
@@ -98,7 +92,7 @@ class SweepPresenter(Presenter[Sweep]):
             (f"{SHARES} [%]", *(round(100 * x["share"]) for x in shown)),
             *((label(name), *(x["parameters"][name] for x in shown)) for name in names),
         )
-        yield _statement(
+        yield self.say(
             (f"Of {searches.n} {searches.method} searches from different starts, {ends}.{found}"),
             _kinds(survey),
             table(
@@ -109,23 +103,23 @@ class SweepPresenter(Presenter[Sweep]):
             is_answer=True,
         )
         if survey.unseen.n:
-            yield _statement(
+            yield self.say(
                 f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
                 f"{_pct(survey.unseen.upper)} %) would end at a minimum not reached by any search."
             )
         recoveries = survey.recoveries
         if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
             either = " or ".join(SEARCHES[x] for x in recoveries)
-            yield _statement(_radius(next(iter(recoveries.values())), either, survey.within))
+            yield self.say(_radius(next(iter(recoveries.values())), either, survey.within))
         else:
             for name, recovery in recoveries.items():
-                yield _statement(_radius(recovery, SEARCHES[name], survey.within))
+                yield self.say(_radius(recovery, SEARCHES[name], survey.within))
         if answer.cliffs is not None:
             cliffs = answer.cliffs
             lost = ", ".join(
                 f"{name} (on {n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST]
             )
-            yield _statement(
+            yield self.say(
                 f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best "
                 "fit "
                 f"the simulated knee jumps{f', most often in trial {lost}' if lost else ''}."
@@ -133,7 +127,6 @@ class SweepPresenter(Presenter[Sweep]):
 
     @override
     def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """What each search reached, and where it began and ended."""
         from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 
         searches = answer.searches

@@ -20,9 +20,8 @@ from identknee.report.overview import (
     has_better_fit,
     overview,
 )
-from identknee.report.page.laxity_part import laxity_drawings
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import Findings, Result, by_subject, drawings
+from identknee.report.page.results import Findings, Result, by_subject, drawings, laxity_drawings
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import (

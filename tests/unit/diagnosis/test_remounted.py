@@ -16,7 +16,7 @@ from identknee.model.effects.remounting import remounting
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.reference import reference_knee
 from identknee.subject.uncertainty import Uncertainty
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 SIZE = 0.5
 

@@ -34,7 +34,7 @@ from identknee.report.presenter import statements_of
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.outcome import Outcome
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 OTHERS = ("shank_gravity", "compression")
 

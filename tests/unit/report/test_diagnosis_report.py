@@ -32,7 +32,7 @@ from identknee.runs.plain_records import summary_of
 from identknee.subject.insertion_sites import name_of_place
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnose import diagnosis_of, untestable
+from identknee.verbs.diagnosis import diagnosis_of, untestable
 
 EFFECTS = (None, FRAME)
 

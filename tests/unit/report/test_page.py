@@ -25,7 +25,7 @@ from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnose import untestable
+from identknee.verbs.diagnosis import untestable
 from identknee.verbs.fit import Calibration
 
 EVIL = '<script>alert(1)</script> & "knee"'
