@@ -32,8 +32,7 @@ class Score:
     )
     sentence: str = entry("All this for a person")
     line_offset_mm: float | None = entry(
-        "Distance of the line found from the middle of the true one; null without either",
-        unit="mm",
+        "Distance of the line found from the middle of the true one; null without either", unit="mm"
     )
     line_angle_deg: float | None = entry("Angle between the two lines", unit="deg")
     amplitudes_covered: float | None = entry(

@@ -232,11 +232,7 @@ def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def _line_effect(
-    name: str,
-    scene: Scene,
-    ends: Sequence[Array],
-    strain_pct: float,
-    sizes_kN: tuple[float, float],
+    name: str, scene: Scene, ends: Sequence[Array], strain_pct: float, sizes_kN: tuple[float, float]
 ) -> Hidden:
     """Effect of one line more; its amplitude is the stiffness."""
     femur, tibia = ends

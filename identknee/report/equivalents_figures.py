@@ -67,11 +67,7 @@ def sets_figure(
 
 
 def ranges_figure(
-    names: Sequence[str],
-    at_fit: Array,
-    ranges: Mapping[str, Array],
-    *,
-    unit: str,
+    names: Sequence[str], at_fit: Array, ranges: Mapping[str, Array], *, unit: str
 ) -> Figure:
     """Smallest and largest value of quantities over regions, a bar each.
 

@@ -111,11 +111,7 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
 
 
 def forces_figure(
-    trials: Sequence[str],
-    ligaments: Sequence[str],
-    quantiles: Array,
-    *,
-    truth: Array | None = None,
+    trials: Sequence[str], ligaments: Sequence[str], quantiles: Array, *, truth: Array | None = None
 ) -> Figure:
     """How far each tension may be from its median: half and 95 % of the posterior, by trial.
 

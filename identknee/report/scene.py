@@ -98,12 +98,7 @@ def scene(
 
 
 def draw_scene(
-    axes: Axes,
-    knee: Knee,
-    view: View,
-    *,
-    pose: ArrayLike | None = None,
-    flexion_deg: float = 0.0,
+    axes: Axes, knee: Knee, view: View, *, pose: ArrayLike | None = None, flexion_deg: float = 0.0
 ) -> None:
     """Draw what `scene` shows into `axes`."""
     placement = _placement(knee, pose, flexion_deg)
@@ -169,11 +164,7 @@ def draw_scene(
     left, bottom = axes.get_xlim()[0], axes.get_ylim()[0]
     axes.plot([left, left + SCALE_BAR], [bottom, bottom], color="black", linewidth=2)
     axes.annotate(
-        f"{SCALE_BAR:g} mm",
-        (left, bottom),
-        (0, 4),
-        textcoords="offset points",
-        fontsize=8,
+        f"{SCALE_BAR:g} mm", (left, bottom), (0, 4), textcoords="offset points", fontsize=8
     )
     keys = {"femoral axes": FEMUR_AXES, "tibial axes": TIBIA_AXES, "ligaments": LIGAMENT}
     axes.legend(

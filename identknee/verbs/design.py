@@ -203,11 +203,7 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        assumptions=(
-            *setup.assumptions,
-            *about_errors,
-            *candidate_path_findings(setup.model),
-        ),
+        assumptions=(*setup.assumptions, *about_errors, *candidate_path_findings(setup.model)),
         **setup.uncertain_at(fits[0].theta),
         findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
     )

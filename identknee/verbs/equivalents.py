@@ -104,8 +104,7 @@ def equivalents(
         ),
     ] = "largest",
     trials: Annotated[
-        TrialsLike | None,
-        trials_option("Trials of the forces, if not those of the data: {}."),
+        TrialsLike | None, trials_option("Trials of the forces, if not those of the data: {}.")
     ] = None,
     noise: options.Noise = None,
     start: options.Start = "subject",

@@ -420,11 +420,7 @@ def fit(
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
     trials = TrialSearch(
-        model=model,
-        laxity=laxity,
-        weighting=weighting,
-        bounds=bounds_of(bounds),
-        fixed=fixed or (),
+        model=model, laxity=laxity, weighting=weighting, bounds=bounds_of(bounds), fixed=fixed or ()
     )
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(subject, laxity.protocol)

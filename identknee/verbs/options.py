@@ -80,8 +80,7 @@ Subject = Annotated[
     ),
 ]
 Data = Annotated[
-    Laxity,
-    argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike),
+    Laxity, argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike)
 ]
 MaybeData = Annotated[
     Laxity | None,
@@ -214,11 +213,7 @@ class KneeOptions(RunOptions, total=False):
 def trials_option(text: str, flag: str = "") -> Option:
     """An option that names trials; the text ends where their kinds are listed."""
     return option(
-        text.format(PROTOCOLS),
-        flag,
-        in_python=_A_PROTOCOL,
-        metavar="PROTOCOL",
-        typed=str | None,
+        text.format(PROTOCOLS), flag, in_python=_A_PROTOCOL, metavar="PROTOCOL", typed=str | None
     )
 
 

@@ -184,11 +184,7 @@ _VERBS = [
         has_pictures=True,
     ),
     # Of a protocol instead of data, on the command line by `diagnose` too.
-    Verb(
-        name="isolability",
-        answer="Isolability",
-        is_reported=True,
-    ),
+    Verb(name="isolability", answer="Isolability", is_reported=True),
     Verb(
         name="design",
         answer="Design",

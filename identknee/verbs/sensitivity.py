@@ -69,11 +69,7 @@ def sensitivity(
     ] = None,
     posterior: Annotated[
         PathLike | None,
-        option(
-            "Results folder of: identknee sample.",
-            metavar="DIR",
-            typed=Path | None,
-        ),
+        option("Results folder of: identknee sample.", metavar="DIR", typed=Path | None),
     ] = None,
     start: options.Start = "subject",
     fixed: options.Fixed = None,

@@ -180,8 +180,7 @@ def simulate(
         float, option("Correlation between the five errors of a trial.")
     ] = 0.0,
     noise_student: Annotated[
-        float | None,
-        option("Degrees of freedom of Student's t noise; normal noise if not given."),
+        float | None, option("Degrees of freedom of Student's t noise; normal noise if not given.")
     ] = None,
     continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     contact: Annotated[

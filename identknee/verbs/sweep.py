@@ -75,8 +75,7 @@ def sweep(
         ),
     ] = DISTANCES,
     budget: Annotated[
-        int | None,
-        option("Largest number of simulations per search; 2,500 if not given."),
+        int | None, option("Largest number of simulations per search; 2,500 if not given.")
     ] = None,
     within: Annotated[
         float,

@@ -150,9 +150,7 @@ def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
     return tuple(x for x in tables if x.rows)
 
 
-def _largest_first(
-    amplitudes: Collection[tuple[str, Estimate]],
-) -> Sequence[tuple[str, Estimate]]:
+def _largest_first(amplitudes: Collection[tuple[str, Estimate]]) -> Sequence[tuple[str, Estimate]]:
     """The amplitudes as they are, or where they are many the largest first."""
     if len(amplitudes) <= MOST_AMPLITUDES:
         return [*amplitudes]
@@ -250,9 +248,7 @@ def _change(answer: Diagnosis) -> Statement:
         words = listed(map(parameter_words, most))
         sentence = f"The cause changes the fitted parameters, most of all {words}."
     return Statement(
-        question=Question.WRONG,
-        sentence=sentence,
-        tables=(table(title, heads, rows),),
+        question=Question.WRONG, sentence=sentence, tables=(table(title, heads, rows),)
     )
 
 
@@ -323,9 +319,7 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     if stated:
         said += f" Taken as uncertain from the start: {listed(stated)}."
     return Statement(
-        question=Question.WRONG,
-        sentence=said,
-        tables=(table("Every cause tested", heads, rows),),
+        question=Question.WRONG, sentence=said, tables=(table("Every cause tested", heads, rows),)
     )
 
 

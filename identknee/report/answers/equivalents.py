@@ -8,15 +8,7 @@ from typing_extensions import override
 from identknee.identify.equivalents import Extrema
 from identknee.identify.extremum import ExtremumEnd
 from identknee.laxity.table import COORDINATES
-from identknee.report.presenter import (
-    SDS_95,
-    Band,
-    Drawing,
-    Presenter,
-    Range,
-    Source,
-    Statement,
-)
+from identknee.report.presenter import SDS_95, Band, Drawing, Presenter, Range, Source, Statement
 from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,

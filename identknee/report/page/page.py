@@ -12,14 +12,7 @@ from markupsafe import Markup
 
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
-from identknee.report.overview import (
-    KNOWN,
-    Overview,
-    Tone,
-    fits_by_start,
-    has_better_fit,
-    overview,
-)
+from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, by_subject, drawings, laxity_drawings
 from identknee.report.page.svg import inline_svg
