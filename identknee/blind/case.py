@@ -63,8 +63,7 @@ class Noise:
         np.fill_diagonal(shared, 1.0)
         sd = np.array([self.sd_mm] * 3 + [self.sd_deg] * 2)
         inverse = np.linalg.inv(np.linalg.cholesky(sd[:, None] * shared * sd))
-        white: Array = np.einsum("ij,nj...->ni...", inverse, values)
-        return white
+        return np.asarray(np.einsum("ij,nj...->ni...", inverse, values))
 
 
 @declared
@@ -147,9 +146,7 @@ def amplitude_for_signal(
         Signal to reach, and the end of the search.
     """
     found = _searched(projected, wanted, FIRST_SHARE * largest, largest)
-    if found is None:
-        return None
-    return _searched(fitted, wanted, found.amplitude, largest)
+    return None if found is None else _searched(fitted, wanted, found.amplitude, largest)
 
 
 def _searched(

@@ -74,8 +74,7 @@ def vertex_normals(surface: Surface) -> Array:
     for corner in range(3):
         np.add.at(total, surface.faces[:, corner], weighted)
     length = np.linalg.norm(total, axis=1)
-    normals: Array = total / np.where(length > 0.0, length, 1.0)[:, None]
-    return normals
+    return np.asarray(total / np.where(length > 0.0, length, 1.0)[:, None])
 
 
 def _from_vertices(surface: Surface, places: Array) -> Array:
@@ -107,8 +106,7 @@ def _averaged(
     excess = distance**2 - distance[:, :1] ** 2
     weights = np.exp(-excess / (WIDTH * edge * (1.0 + distance[:, :1])) ** 2)
     heights = ((places[:, None] - surface.vertices[around]) * normals[around]).sum(axis=2)
-    mean: Array = (weights * heights).sum(axis=1) / weights.sum(axis=1)
-    return mean
+    return np.asarray((weights * heights).sum(axis=1) / weights.sum(axis=1))
 
 
 def _kept(path: Path) -> Array | None:

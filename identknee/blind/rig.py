@@ -242,8 +242,7 @@ def _at(reading: int, values: Array) -> Array:
 
 def _unit(generator: np.random.Generator, n: int) -> Array:
     vector = generator.normal(size=n)
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _sign(generator: np.random.Generator) -> float:

@@ -139,8 +139,7 @@ def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, 
 
 
 def _unit(vector: Array) -> Array:
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _holds(interval: Sequence[float | None], value: float) -> bool:

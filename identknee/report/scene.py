@@ -38,8 +38,7 @@ class View:
 
     def project(self, points: Array) -> Array:
         """Right, up and toward the reader [mm] of points ``(..., 3)``, in the same shape."""
-        projected: Array = points @ np.stack([self.right, self.up, self.toward], axis=1)
-        return projected
+        return np.asarray(points @ np.stack([self.right, self.up, self.toward], axis=1))
 
 
 def view_from(azimuth_deg: float, elevation_deg: float) -> View:

@@ -137,8 +137,7 @@ def _insertion_shifts(knee: Knee, values: Mapping[str, float]) -> Array:
         return np.zeros(shape)
     nuisance = insertions(knee)
     found = np.array([values.get(x, 0.0) for x in nuisance.parameters.names])
-    shifts: Array = (nuisance.matrix @ found).reshape(shape)
-    return shifts
+    return np.asarray((nuisance.matrix @ found).reshape(shape))
 
 
 def _fitted_effect(choice: EffectChoice, values: Mapping[str, float]) -> EffectChoice:
