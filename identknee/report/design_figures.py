@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.trial_words import UNLOADED, loads_words
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES, bare
 from identknee.runs.arrays import Array
 
 # Before, predicted, achieved.
@@ -137,7 +137,7 @@ def steps_figure(widths: Mapping[str, ArrayLike], achieved: Mapping[str, float])
     axes.set_ylim(bottom=0.0)
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=SMALL, ncols=2)
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)
     return figure
 
 

@@ -120,7 +120,7 @@ def start_end_figure(
         Line2D([], [], linestyle="", marker="+", color=BLACK, markersize=11, label=mark),
     ]
     handles: list[Artist] = [*marks, *ends_at]
-    legend_below(figure, handles, [str(x.get_label()) for x in handles])
+    legend_below(figure, handles)
     return figure
 
 
@@ -203,4 +203,4 @@ def _dots(axes: Axes, fits: Sequence[StartFits], quantity: str) -> None:
         fontsize=7,
         color="0.4",
     )
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)

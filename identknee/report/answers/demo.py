@@ -125,7 +125,7 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def pictures(self, answer: Demonstration, knee: Knee) -> dict[str, "Figure"]:
-        from identknee.report.profile_figures import profiles_figure
+        from identknee.report.parameter_figures import profiles_figure
         from identknee.report.scene import scene
         from identknee.report.sweep_figures import starts_figure
 

@@ -383,8 +383,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             misfit_words,
             parameters_before_after_figure,
             residuals_figure,
+            wrench_figure,
         )
-        from identknee.report.wrench_figure import wrench_figure
 
         misfit, trials, residuals = answer.misfit, answer.trials, answer.residuals
         # None of them where the data cannot be tested.

@@ -113,7 +113,7 @@ class EquivalentsPresenter(Presenter[Equivalents]):
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        from identknee.report.equivalents_figures import ranges_figure, sets_figure
+        from identknee.report.parameter_figures import ranges_figure, sets_figure
 
         region, names = answer.region, answer.region.parameter_names
         apart = answer.coordinates - answer.coordinates.mean(axis=0)

@@ -95,7 +95,7 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
     def drawings(
         self, answer: LocalIdentifiability, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
+        from identknee.report.parameter_figures import eigenvectors_figure, spectrum_figure
 
         found = answer.fisher
         yield Drawing(

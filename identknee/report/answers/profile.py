@@ -170,7 +170,7 @@ def profile_drawings(
     profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
 ) -> Iterator[Drawing]:
     """Intervals and curves of profiles, beside the true values where these are known."""
-    from identknee.report.profile_figures import intervals_figure, profiles_figure
+    from identknee.report.parameter_figures import intervals_figure, profiles_figure
 
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(

@@ -129,7 +129,7 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def drawings(self, answer: Sample, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        from identknee.report.sample_figures import (
+        from identknee.report.parameter_figures import (
             corner_figure,
             forces_figure,
             prior_posterior_figure,

@@ -133,7 +133,7 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
     def drawings(
         self, answer: GlobalSensitivity, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        from identknee.report.sensitivity_figures import effects_figure, map_figure
+        from identknee.report.parameter_figures import effects_figure, map_figure
 
         found = answer.analysis
         name = next((x for x in INDICES if x in found.indices), None)
