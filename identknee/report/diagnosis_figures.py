@@ -252,11 +252,6 @@ def isolability_figure(distances: Distances) -> Figure:
     """How far the data expected under each cause are from the best fit of each other one.
 
     Rows are true, columns fitted in their place. Dark cells below 5 cannot be told apart.
-
-    Parameters
-    ----------
-    distances
-        Distances of all effects from one another.
     """
     names = distances.effects
     order = [distances.rivals.index(x) for x in names]
@@ -405,13 +400,6 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     Grey is what noise alone may ask for. It is what is missing beside the ligaments as they are in
     the explanation that the diagnosis gives, whose structures are drawn too, a square at the tibia;
     where it gives none, beside ligaments that have taken over what they can.
-
-    Parameters
-    ----------
-    answer
-        The diagnosis.
-    knee
-        The subject.
     """
     pulls = answer.missing_wrench
     angles = sorted({x.flexion_deg for x in pulls})

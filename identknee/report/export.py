@@ -17,8 +17,6 @@ from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import load_protocol
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_points import distances
-from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
 from identknee.mechanics.pose import Placement, place
 from identknee.model.laxity_model import LaxityModel
@@ -27,6 +25,7 @@ from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
 from identknee.report.presenter import Range, of_type, presenter_of
+from identknee.report.scene import distance_from_femur
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
@@ -242,18 +241,7 @@ class _Poses:
             placement.to_femur(own[x.faces].mean(axis=1))
             for own, x in zip(self._tibia, knee.tibia, strict=True)
         ]
-        return [to_tibia, *(_to_femur(self._field, x) for x in tibial)]
-
-
-def _to_femur(field: DistanceField, places: Array) -> Array:
-    """Distance of places from the femur [mm]; NaN beyond the grid of the field."""
-    places = field.to_field(places)
-    cell = np.floor((places - field.origin) / field.spacing)
-    # The outermost cells of the grid lack the support of the spline.
-    inner = ((cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)).all(axis=1)
-    found = np.full(len(places), np.nan)
-    found[inner] = distances(field, places[inner])[0]
-    return found
+        return [to_tibia, *(distance_from_femur(self._field, x) for x in tibial)]
 
 
 COLUMNS = (

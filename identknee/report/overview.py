@@ -94,7 +94,7 @@ class Agreement:
             return f"{'both' if n == 2 else f'all {n}'} agree"
         parts = [f"{agreeing} of {n} agree"] if agreeing > 1 else []
         parts += [
-            f"{x.source.value} {relation.value} ({_range(x, unit)})"
+            f"{x.source.value} {relation.value} ({interval((x.low, x.high), unit)})"
             for x, relation in self.differing
         ]
         return "; ".join(parts)
@@ -170,10 +170,6 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
         return x.low, x.high
     factor = 1.0 / sqrt(x.reach or 1.0)
     return x.value + factor * (x.low - x.value), x.value + factor * (x.high - x.value)
-
-
-def _range(x: Range, unit: str) -> str:
-    return interval((x.low, x.high), unit)
 
 
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:

@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
+from identknee.mechanics.contact_points import distances
+from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.pose import Placement, place, start_pose
 from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -173,6 +175,17 @@ def draw_scene(
         fontsize=8,
     )
     axes.set_axis_off()
+
+
+def distance_from_femur(field: DistanceField, places: Array) -> Array:
+    """Distance of places from the femur [mm]; NaN beyond the grid of the field."""
+    places = field.to_field(places)
+    cell = np.floor((places - field.origin) / field.spacing)
+    # The outermost cells of the grid lack the support of the spline.
+    inner = ((cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)).all(axis=1)
+    found = np.full(len(places), np.nan)
+    found[inner] = distances(field, places[inner])[0]
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

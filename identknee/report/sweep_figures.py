@@ -151,13 +151,7 @@ FLOOR = 1e-3
 
 
 def starts_figure(fits: Sequence[StartFits]) -> Figure:
-    """Figure with parameter errors on the left and laxity errors on the right, one dot a run.
-
-    Parameters
-    ----------
-    fits
-        By method and start.
-    """
+    """Figure with parameter errors on the left and laxity errors on the right, one dot a run."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     _dots(left, fits, "error_kN")

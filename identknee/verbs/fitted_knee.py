@@ -26,13 +26,6 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     Insertions that were taken as uncertain are where the result has them. What else was uncertain
     is an error of frames or tests, and stays out of the knee.
 
-    Parameters
-    ----------
-    knee
-        The subject of the result.
-    answer
-        Of `fit`, `profile` or `simulate`.
-
     Raises
     ------
     ValueError

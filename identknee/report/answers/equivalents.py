@@ -30,31 +30,6 @@ MOST_DRAWN = 16
 USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
 
 
-def _least_determined_sentence(parameters: Iterable[Extrema]) -> Iterator[str]:
-    stiffness = [x for x in parameters if x.name.endswith(STIFFNESS)]
-    for x in _widest_first(stiffness)[:1]:
-        yield (
-            "Two knees that this measurement cannot distinguish may differ by "
-            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
-            f"({interval(_ends(x), x.unit)})."
-        )
-
-
-def _sets(answer: Equivalents) -> Iterator[str]:
-    region = answer.region
-    yield (
-        f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
-        f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
-        f"{region.closest:.3g}. {region.sentence}"
-    )
-    if answer.power_of_best_test is not None:
-        yield (
-            "Even the most powerful test at the 5 % level distinguishes one of them from the fit "
-            "in only "
-            f"{100 * answer.power_of_best_test:.0f} of 100 measurements."
-        )
-
-
 def _table(ranges: Iterable[Extrema], title: str) -> Table:
     return table(
         title,
@@ -93,8 +68,25 @@ class EquivalentsPresenter(Presenter[Equivalents]):
     def statements(self, answer: Equivalents) -> Iterator[Statement]:
         """The least known stiffness and the sets, then the least known force."""
         region = answer.region
+        stiffness = [x for x in region.parameters.values() if x.name.endswith(STIFFNESS)]
+        said = [
+            "Two knees that this measurement cannot distinguish may differ by "
+            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
+            f"({interval(_ends(x), x.unit)})."
+            for x in _widest_first(stiffness)[:1]
+        ]
+        said.append(
+            f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
+            f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
+            f"{region.closest:.3g}. {region.sentence}"
+        )
+        if answer.power_of_best_test is not None:
+            said.append(
+                "Even the most powerful test at the 5 % level distinguishes one of them from the "
+                f"fit in only {100 * answer.power_of_best_test:.0f} of 100 measurements."
+            )
         yield self.say(
-            " ".join([*_least_determined_sentence(region.parameters.values()), *_sets(answer)]),
+            " ".join(said),
             _table(region.parameters.values(), "Ranges over all equivalent sets"),
             is_answer=True,
         )

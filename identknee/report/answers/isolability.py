@@ -15,7 +15,6 @@ from identknee.runs.plain_records import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
-from identknee.verbs.values import AdvisedTrial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,12 +28,6 @@ def detectable_sizes(x: Detectability) -> tuple[str, str]:
     # Not finite in a computed answer, not a number in a loaded one.
     seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
     return seen, amount(x.relevant, x.unit)
-
-
-def _more_trials(trials: Sequence[AdvisedTrial]) -> str:
-    if len(trials) == 1:
-        return f"One more trial ({trials_words(trials)})"
-    return f"{len(trials)} more trials"
 
 
 def _few(causes: Sequence[str]) -> str:
@@ -75,9 +68,11 @@ class IsolabilityPresenter(Presenter[Isolability]):
         yield self.say(f"{trials} {said}", shown, is_answer=True)
         for group in answer.groups:
             if group.advised_trials:
+                n = len(group.advised_trials)
+                one = f"One more trial ({trials_words(group.advised_trials)})"
                 yield Statement(
                     question=Question.NEXT,
-                    sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
+                    sentence=f"{one if n == 1 else f'{n} more trials'} would help to distinguish "
                     f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
                     f"closest would then be {group.distance_with_advised_trials:.1f} and not "
                     f"{group.distance:.1f} units of noise apart.",

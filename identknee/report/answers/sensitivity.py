@@ -1,7 +1,7 @@
 """What a sensitivity analysis says: which parameter moves which laxity most."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from typing_extensions import override
@@ -69,10 +69,10 @@ def _most_influential(answer: GlobalSensitivity) -> str:
     return f"By {measure}, laxity depends most on {parameter_words(name)}: {where}."
 
 
-def _group(answer: GlobalSensitivity, name: str) -> str:
-    """A group of outputs as a cell of a table has it."""
+def _group(answer: GlobalSensitivity, name: str, words: Callable[[str], str]) -> str:
+    """A group of outputs, its coordinate in `words`."""
     group = answer.group_named(name)
-    return name if group is None else f"{coordinate_words(group.coordinate)}, {group.place}"
+    return name if group is None else f"{words(group.coordinate)}, {group.place}"
 
 
 def _table(answer: GlobalSensitivity) -> Table:
@@ -94,7 +94,7 @@ def _table(answer: GlobalSensitivity) -> Table:
                 label(parameter),
                 float(index.final[top, i]),
                 float(index.final_half_widths[top, i]),
-                _group(answer, found.groups[top]),
+                _group(answer, found.groups[top], coordinate_words),
                 float(index.final[-1, i]),
             )
             for i, (parameter, top) in enumerate(zip(found.parameters.names, tops, strict=True))
@@ -163,7 +163,8 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
             # The last group is failure.
             order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
             panels = {
-                _panel(answer, found.groups[i]): (size[i], width[i], spread[i]) for i in order[:2]
+                _group(answer, found.groups[i], label): (size[i], width[i], spread[i])
+                for i in order[:2]
             }
             yield Drawing(
                 name="effects",
@@ -172,8 +173,3 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
                 "stronger; farther up it depends more on the other parameters.",
                 description=f"Morris effects of {listed(map(label, parameters))}.",
             )
-
-
-def _panel(answer: GlobalSensitivity, name: str) -> str:
-    group = answer.group_named(name)
-    return name if group is None else f"{label(group.coordinate)}, {group.place}"

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from identknee.calibrate.starts import load_start
 from identknee.laxity.dominant_load import nominal_loads
 from identknee.laxity.trial_words import setting_words
-from identknee.mechanics.contact_points import distances
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.grood_suntay import coordinates_from_pose
 from identknee.mechanics.ligament_tensions import ligament_tensions
@@ -22,6 +21,7 @@ from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of
+from identknee.report.scene import distance_from_femur
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.outcome import Outcome
@@ -202,13 +202,8 @@ def _trials(
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
-        places = field.to_field(placement.to_femur(tibia.vertices))
-        cell = np.floor((places - field.origin) / field.spacing)
-        # The outermost cells of the grid lack the support of the spline.
-        inner = (cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)
-        index = np.flatnonzero(inner.all(axis=1))
-        depths = -distances(field, places[index])[0]
-        is_near = depths > -APART
+        depths = -distance_from_femur(field, placement.to_femur(tibia.vertices))
+        near = np.flatnonzero(depths > -APART)
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
@@ -217,8 +212,8 @@ def _trials(
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),
                 tensions=tensions[i],
-                near=index[is_near],
-                depths=depths[is_near],
+                near=near,
+                depths=depths[near],
             )
         )
     return tuple(trials)
@@ -382,13 +377,6 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
     """The knee as a diagnosis extended it, else as it was fitted, else as it was simulated.
 
     None where no result says in which trials it is loaded.
-
-    Parameters
-    ----------
-    findings
-        The results of one subject.
-    knee
-        That subject.
     """
     for result in findings.of("diagnose", "fit", "demo", "simulate"):
         protocol = result.protocol
