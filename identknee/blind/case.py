@@ -197,16 +197,26 @@ MOST_DRAWS = 40
 DRAWS_A_KNEE = 4
 
 
-@declared
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlindCase:
-    """Data with a hidden effect."""
+    """Data with a hidden effect.
 
-    laxity: Laxity = entry(
-        "The data as they are handed out: noisy, with the stated standard deviations"
-    )
-    truth: Truth = entry("What is behind them")
-    noise_free: Laxity = entry("The same without errors")
-    tensions: Array = entry("True tension of each ligament in each trial [N], shape ``(n, m)``")
+    Attributes
+    ----------
+    laxity
+        The data as they are handed out: noisy, with the stated standard deviations.
+    truth
+        What is behind them.
+    noise_free
+        The same without errors.
+    tensions
+        True tension of each ligament in each trial [N], shape ``(n, m)``.
+    """
+
+    laxity: Laxity
+    truth: Truth
+    noise_free: Laxity
+    tensions: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

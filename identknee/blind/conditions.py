@@ -37,14 +37,24 @@ STATED = {
 }
 
 
-@declared
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TruncatedNormal:
-    """A truncated normal distribution."""
+    """A truncated normal distribution.
 
-    sd: float = entry("Standard deviation, > 0")
-    center: float = entry("Mean", default=0.0)
-    lower: float = entry("Lower end, which values do not pass", default=-np.inf)
-    upper: float = entry("Upper end", default=np.inf)
+    Attributes
+    ----------
+    sd
+        Standard deviation, > 0.
+    center
+        Mean.
+    lower, upper
+        Ends, which values do not pass.
+    """
+
+    sd: float
+    center: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
 
     def __post_init__(self) -> None:
         if not 0.0 < self.sd < np.inf:
