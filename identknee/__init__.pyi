@@ -14,12 +14,12 @@ from .calibrate.starts import load_start as load_start
 from .diagnosis.verdict import Verdict as Verdict
 from .identify.profile.profile import profile_parameters as profile_parameters
 from .identify.profile.result import Profile as Profile
-from .laxity.named_trials import example_laxity as example_laxity
-from .laxity.noise import add_noise as add_noise
 from .laxity.protocol import Protocol as Protocol
 from .laxity.protocol import load_protocol as load_protocol
-from .laxity.rmse import laxity_rmse as laxity_rmse
 from .laxity.table import Laxity as Laxity
+from .laxity.table import add_noise as add_noise
+from .laxity.table import example_laxity as example_laxity
+from .laxity.table import laxity_rmse as laxity_rmse
 from .laxity.table import read_laxity as read_laxity
 from .laxity.table import write_laxity as write_laxity
 from .model.effects.library import effect_named as effect_named
@@ -29,7 +29,7 @@ from .model.residuals import LaxityResiduals as LaxityResiduals
 from .report.notebook import scene_3d as scene_3d
 from .report.scene import scene as scene
 from .runs.errors import InputError as InputError
-from .runs.outcome import Outcome as Outcome
+from .runs.record import Outcome as Outcome
 from .subject.check import check_geometry as check_geometry
 from .subject.folder import example as example
 from .subject.folder import read_subject as read_subject

@@ -16,7 +16,7 @@ from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import diagnosis_of
 

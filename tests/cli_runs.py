@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 import identknee as ik
 from identknee.cli.app import app
 from identknee.runs.declare import entries
-from identknee.runs.plain_records import to_plain
+from identknee.runs.schema import to_plain
 from identknee.verbs.answer import Answer
 
 UNFORESEEN = "this should not have happened"

@@ -8,7 +8,7 @@ from knees import mean_errors, noise_free
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.starts import named_start
-from identknee.laxity.rmse import laxity_rmse
+from identknee.laxity.table import laxity_rmse
 from identknee.model.laxity_model import LaxityModel
 
 STARTS = ("IG1", "IG2", "IG3", "IG4")

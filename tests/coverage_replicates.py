@@ -10,12 +10,11 @@ from knees import model
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # Of the deviance, beside a threshold of 3.84: what the fits may leave.
 FREE_TOLERANCE, HELD_TOLERANCE = 1e-6, 4e-4

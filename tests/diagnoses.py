@@ -5,9 +5,8 @@ from functools import cache
 import numpy as np
 
 from identknee.diagnosis.investigation import Investigation, investigate
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee

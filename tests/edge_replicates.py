@@ -11,9 +11,8 @@ from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.evaluation import Evaluator
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 

@@ -9,14 +9,12 @@ from oracle import OracleKnee, State
 from scipy.ndimage import map_coordinates
 
 from identknee.mechanics.contact_elements import contact_element
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.distance_field import PRESSURE_MODULUS, DistanceField
 from identknee.mechanics.energy import evaluate
 from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model.contact_geometry import ContactGeometry
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import ContactGeometry, LaxityModel
 from identknee.runs.arrays import Array
 
 # Millimetres and newtons beside radians and newton millimetres.

@@ -2,7 +2,7 @@
 
 from knees import model, own_laxity
 
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
 
 NOISE = 0.5  # mm and deg

@@ -5,10 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import LOADS, Protocol, concatenate, load_protocol
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.table import (
+    COORDINATES,
+    ROTATIONS,
+    TRANSLATIONS,
+    Laxity,
+    add_noise,
+    relative_to_unloaded,
+)
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.folder import example
 

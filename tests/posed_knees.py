@@ -8,9 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import Array
 from identknee.subject.folder import write_subject
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee, Side
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament, Side
 from identknee.subject.reference import reference_knee
 
 NAMES = ("cruciate_front", "cruciate_back", "outer", "inner")

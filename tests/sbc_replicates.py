@@ -11,7 +11,7 @@ from identknee.calibrate.problem import Problem
 from identknee.identify.posterior.convergence import StopRule
 from identknee.identify.posterior.density import prior_draws
 from identknee.identify.posterior.sample import Ensembles, sample
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
 

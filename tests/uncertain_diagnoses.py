@@ -15,7 +15,7 @@ from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.score import detection_power
 from identknee.diagnosis.verdict import Verdict
 from identknee.runs.arrays import Array
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from identknee.calibrate.evaluation import Evaluator
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import LigamentForce
 from identknee.runs.arrays import Array
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 from identknee.verbs.identification import identification
 
 # Stated beside: what the generator's contact law, mesh and toe region are off by. With geometry

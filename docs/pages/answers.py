@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from identknee.blind_test.revelation import Revelation
 from identknee.runs.declare import Entry, derived_entries, entries
-from identknee.runs.plain_records import record_within, type_hints_of
+from identknee.runs.schema import record_within, type_hints_of
 from identknee.verbs.installation import Installation
 from identknee.verbs.registry import verbs
 from identknee.verbs.subject import NamedSubjects

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from identknee.runs.finding_kinds import KINDS, FindingKind
+from identknee.runs.findings import KINDS, FindingKind
 
 
 def write_findings(path: Path) -> None:

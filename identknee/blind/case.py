@@ -29,9 +29,8 @@ from identknee.blind.hidden import Hidden, Scene
 from identknee.blind.rims import contact_stays_inside, rims_of
 from identknee.blind.sites import anatomical_sites
 from identknee.blind.truth import Truth, write_truth
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.table import Laxity, write_laxity
+from identknee.laxity.table import Laxity, add_noise, write_laxity
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import suggestion

@@ -9,9 +9,7 @@ from scipy.spatial.transform import Rotation
 from identknee.blind.experiment import EXPONENT, Experiment
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import EXACTLY, UncertainLike, with_stated_uncertainty
+from identknee.subject.knee import EXACTLY, Frame, Knee, UncertainLike, with_stated_uncertainty
 
 # Draws until one lies between the ends of a spread.
 MOST_TRIES = 1000

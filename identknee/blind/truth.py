@@ -14,8 +14,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, write_json
-from identknee.runs.plain_records import summary_of
-from identknee.runs.schema import Number, Part
+from identknee.runs.schema import Number, Part, summary_of
 
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 

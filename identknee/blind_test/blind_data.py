@@ -8,7 +8,7 @@ from typing_extensions import override
 from identknee.blind.case import RANDOM, BlindCase, blind_case, write_blind
 from identknee.blind.conditions import stated_conditions
 from identknee.runs.declare import declared, entry
-from identknee.subject.uncertainty import UncertainLike
+from identknee.subject.knee import UncertainLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import REFERENCE, OutOption, Seed, Subject, option
 from identknee.verbs.verb import Run, recorded_as, verb

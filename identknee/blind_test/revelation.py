@@ -13,7 +13,7 @@ from identknee.blind_test.blind_data import BlindData
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import SUMMARY, load

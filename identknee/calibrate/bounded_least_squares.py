@@ -41,7 +41,7 @@ from identknee.calibrate.problem import STEP_RANK_TOLERANCE, conditional_sds
 from identknee.calibrate.quantity import Quantity
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # What is smaller has no inverse among floating-point numbers.
 SMALLEST = 1e-150

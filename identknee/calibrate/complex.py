@@ -6,7 +6,7 @@ from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.problem import floors, half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 REFLECTION = 0.9
 ATTEMPTS = 4

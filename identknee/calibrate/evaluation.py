@@ -10,7 +10,7 @@ from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # Of the product of their lengths: a step and the change of the gradient along it with a smaller
 # product say nothing that an update could rest on.

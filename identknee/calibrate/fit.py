@@ -24,8 +24,8 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial, spawn_seeds
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress, progress_bar
+from identknee.runs.record import Outcome
 
 BUDGET = 2500
 

@@ -30,7 +30,7 @@ from identknee.calibrate.problem import KINK_DEVIANCE, KINK_SHARE, RANK_TOLERANC
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 STEP_TOLERANCE = 1e-6
 ROUNDING = 1e-14

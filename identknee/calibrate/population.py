@@ -14,7 +14,7 @@ from identknee.calibrate.problem import half_widths
 from identknee.calibrate.search import POPULATION, run_search, uniform_box
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # Stands for infinity where a library takes differences of deviances.
 NO_PREDICTION = 1e100

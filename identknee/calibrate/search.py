@@ -6,7 +6,7 @@ import numpy as np
 
 from identknee.calibrate.evaluation import Evaluator
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 POPULATION = 20
 SPREAD_TOLERANCE = 1e-3

@@ -10,8 +10,7 @@ from identknee.checks.fit_warnings import AlternativeFit
 from identknee.checks.plausibility import implausible_findings
 from identknee.checks.subject_checks import rim_findings, stability_findings
 from identknee.laxity.table import Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, without_repeats
 

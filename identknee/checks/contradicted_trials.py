@@ -9,8 +9,7 @@ from scipy.special import fdtrc
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WhitenedResiduals, restricted, typical_steps
-from identknee.laxity.dominant_load import dominant_loads
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, dominant_loads
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.laxity.trial_words import load_words
 from identknee.model.laxity_model import LaxityModel

@@ -11,9 +11,8 @@ from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WhitenedResiduals
 from identknee.checks.data_checks import load_sign_findings
 from identknee.checks.fit_warnings import GROSS, IMPROBABLE, MOST_DEG, MOST_MM
-from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.laxity.protocol import FLEXION, LOADS, unloaded_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.zero_conventions import unloaded_trials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from identknee.laxity.dominant_load import dominant_loads, opposite_pairs
-from identknee.laxity.protocol import LOADS
+from identknee.laxity.protocol import LOADS, dominant_loads, opposite_pairs
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel

@@ -16,7 +16,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared
 from identknee.runs.findings import Finding, finding
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
     capitalised,

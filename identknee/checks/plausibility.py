@@ -4,13 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from identknee.laxity.dominant_load import dominant_loads
-from identknee.laxity.protocol import LOADS
+from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.equilibria import TRANSITION_STRAIN
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import PER_KN
-from identknee.model.prediction import Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, finding

@@ -12,7 +12,7 @@ from identknee.calibrate.problem import Problem
 from identknee.laxity.table import Laxity
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 MOST_ROUNDS = 8
 # Tolerance on the deviance, and the fall of it that is worth another round or a trial excluded.

@@ -20,19 +20,17 @@ from identknee.calibrate.problem import (
 )
 from identknee.calibrate.starts import load_start
 from identknee.checks.trial_exclusion import TrialExclusion
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, from_zero
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zero_conventions import from_zero
-from identknee.mechanics.load_paths import NEAR, Continuation
+from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import POSE_EVERY_DEG, known_poses, strains_as_measured
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, finding
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import progress
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.

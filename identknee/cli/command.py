@@ -167,7 +167,7 @@ def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
         Whether to print only the summary.
     """
     # These load xarray and what draws tables, which takes longer than most mistakes.
-    from identknee.runs.plain_records import summary_of
+    from identknee.runs.schema import summary_of
 
     lines = [] if as_json else [str(answer)]
     lines += [f"Results: {out}", *([then] if then else [])]
@@ -185,7 +185,7 @@ def print_result(found: Any, *lines: str, as_json: bool) -> None:
     summary = {}
     if as_json:
         # A broken installation, of which only words are wanted, may lack what this loads.
-        from identknee.runs.plain_records import summary_of
+        from identknee.runs.schema import summary_of
 
         summary = summary_of(found)
     show(summary, [str(found), *lines], as_json=as_json)

@@ -33,16 +33,13 @@ from identknee.diagnosis.isolability import (
 )
 from identknee.diagnosis.refit import Refit, Rival
 from identknee.identify.nuisances import nuisance_places
-from identknee.laxity.candidates import unique_names
-from identknee.laxity.protocol import Protocol, concatenate
+from identknee.laxity.protocol import Protocol, concatenate, unique_names
 from identknee.laxity.table import Laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library
-from identknee.model.effects.stored import values_of
+from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library, values_of
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.shared_errors import nuisance_changes
+from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.marginalise import with_error_measured

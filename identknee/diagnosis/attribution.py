@@ -20,8 +20,8 @@ from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import counted, progress, progress_bar, stage
+from identknee.runs.record import Outcome
 
 MOST_CAUSES = 3
 # Log evidence that a cause must gain to join, and to stay when another could do without it.

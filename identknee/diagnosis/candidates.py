@@ -24,12 +24,12 @@ from identknee.diagnosis.score import (
     score_test,
 )
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
-from identknee.model.effects.remounting import Remounting, remounting
+from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters

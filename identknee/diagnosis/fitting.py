@@ -21,16 +21,15 @@ from identknee.identify.nuisances import (
 from identknee.identify.optimum import sobol_around
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.contact_law import CONTACT_LAW, contact_nuisance
-from identknee.model.effects.stored import values_of
+from identknee.model.effects.library import values_of
+from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.shared_errors import nuisance_changes
+from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 N_STARTS = 3

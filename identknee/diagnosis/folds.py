@@ -3,10 +3,14 @@
 import numpy as np
 
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.laxity.dominant_load import nominal_flexion, nominal_loads
-from identknee.laxity.protocol import DIRECTIONS, Protocol
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_ANGLE_DEG,
+    Protocol,
+    nominal_flexion,
+    nominal_loads,
+)
 from identknee.laxity.table import ROTATIONS, Laxity
-from identknee.laxity.zero_conventions import SAME_ANGLE_DEG
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 

@@ -30,7 +30,7 @@ from identknee.diagnosis.missing_line import (
 )
 from identknee.diagnosis.refit import Refit, without_causes
 from identknee.diagnosis.verdict import LEVEL, Cause, Conclusion, Verdict, causes_of, conclude
-from identknee.laxity.dominant_load import nominal_flexion, nominal_loads
+from identknee.laxity.protocol import nominal_flexion, nominal_loads
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
@@ -39,8 +39,8 @@ from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import stage
+from identknee.runs.record import Outcome
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 

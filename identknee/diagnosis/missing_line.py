@@ -11,13 +11,11 @@ from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.diagnosis.refit import Refit, refit
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.mechanics.pose import rotation_matrix
+from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, rotation_matrix
 from identknee.model.effects.structures import MissingStructure
-from identknee.model.laxity_model import LaxityModel, trial_contacts
+from identknee.model.laxity_model import LaxityModel, Prediction, trial_contacts
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
-from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry

@@ -22,11 +22,11 @@ from identknee.diagnosis.misfit import (
 from identknee.diagnosis.score import CandidateScore, Scores
 from identknee.identify.laplace import log_evidence
 from identknee.model.effects.effect import Effect
-from identknee.model.effects.extended import knee_with_effects, values_by_owner
 from identknee.model.effects.facts import cause_label
+from identknee.model.effects.library import knee_with_effects, values_by_owner
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 # Share of the range of an amplitude: this close to an end it lies on it.

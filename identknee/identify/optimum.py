@@ -8,7 +8,7 @@ from identknee.calibrate.problem import Problem
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 N_STARTS = 16
 # How many prior standard deviations around the subject's values the other starts lie in.

@@ -18,7 +18,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.store import Store, resumable_map
 
 OUTCOMES = (

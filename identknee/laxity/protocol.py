@@ -1,4 +1,4 @@
-"""Which trials a laxity test has: the flexion angle and the loads of each."""
+"""Which trials a laxity test has: flexion and loads of each, what they are about, and candidates."""
 
 import math
 import os
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry, name_axis
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike
@@ -459,3 +459,338 @@ def _protocol(name: str, rows: Mapping[str, tuple[float, ...]]) -> Protocol:
 def _shortest(value: float) -> str:
     text = f"{value + 0.0:g}"
     return text if float(text) == value else repr(float(value))
+
+
+# Loads of a usual laxity test: a load counts by its share of these.
+TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
+# Below this share a load is a stray one. A constant load, such as compression, is none of a trial.
+STRAY = 0.1
+# Share of the largest load of a trial below which another is a stray one beside it.
+STRAY_BESIDE = 0.2
+# Opposite loads may differ by this share of them, and their flexion angles by so much [deg].
+ALIKE, SAME_FLEXION_DEG = 0.5, 5.0
+
+
+@declared
+class DominantLoads:
+    """The dominant load of each trial."""
+
+    axis: IntArray = array("Its place among the loads; -1 where there is none", "trial", dtype=int)
+    size: Array = array(
+        "Its size with its sign, less what all trials hold", "trial", unit="N or N m"
+    )
+
+
+def dominant_loads(protocol: Protocol) -> DominantLoads:
+    """The load that each trial is about: the largest beside a usual test's, stray ones aside.
+
+    A load that no trial is without, such as compression, is counted from its median, unless the
+    trials then have no load left.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> found = dominant_loads(load_protocol("drawer"))
+    >>> found.axis[:3].tolist(), found.size[:3].tolist()
+    ([2, -1, 2], [-100.0, 0.0, 134.0])
+    """
+    loads = _changes(protocol)
+    share = np.abs(loads) / TYPICAL
+    if not np.any(share >= STRAY):
+        # As in drawer one way alone, or in a single trial.
+        loads = protocol.loads
+        share = np.abs(loads) / TYPICAL
+    axis = np.argmax(share, axis=1)
+    rows = np.arange(protocol.n)
+    is_stray = share[rows, axis] < STRAY
+    return DominantLoads(
+        axis=np.where(is_stray, -1, axis), size=np.where(is_stray, 0.0, loads[rows, axis])
+    )
+
+
+def nominal_loads(protocol: Protocol) -> Array:
+    """The loads that tell the trials apart, shape ``(n, 5)``: stray and constant ones are zero.
+
+    A load is a stray one where it is small, also beside the largest of its trial, unless it is the
+    only one; one that no trial is without, such as compression, is counted from its median.
+    """
+    share = np.abs(_changes(protocol)) / TYPICAL
+    alone = np.count_nonzero(share, axis=1, keepdims=True) == 1
+    least = np.maximum(STRAY, STRAY_BESIDE * share.max(axis=1, keepdims=True))
+    told = np.where((share >= least) | (alone & (share > 0.0)), protocol.loads, 0.0)
+    return told if told.any() else protocol.loads
+
+
+def _changes(protocol: Protocol) -> Array:
+    """Loads less what the rig holds throughout: the median of a load that no trial is without."""
+    signs = np.sign(protocol.loads)
+    is_held = np.all(signs == signs[:1], axis=0) & (signs[0] != 0.0)
+    return protocol.loads - np.where(is_held, np.median(protocol.loads, axis=0), 0.0)
+
+
+def nominal_flexion(protocol: Protocol) -> Array:
+    """Nominal flexion of each trial [deg], shape ``(n,)``.
+
+    Where most trials have an angle of their own, as a robot reads them, angles that are close
+    together are one, their rounded mean; elsewhere they are what they are.
+    """
+    angles, place = np.unique(protocol.flexion_deg, return_inverse=True)
+    if 2 * angles.size <= protocol.n:
+        return protocol.flexion_deg
+    cluster = np.cumsum(np.r_[0, np.diff(angles) > SAME_FLEXION_DEG])[place]
+    sums = np.bincount(cluster, weights=protocol.flexion_deg)
+    return np.asarray(np.round(sums / np.bincount(cluster))[cluster])
+
+
+def opposite_pairs(protocol: Protocol) -> IntArray:
+    """Pairs of trials under opposite loads at about the same flexion, shape ``(k, 2)``.
+
+    The trial with the positive load stands first; each trial is in one pair at most, the most alike
+    in flexion and size first.
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> opposite_pairs(load_protocol("drawer"))[0].tolist()
+    [2, 0]
+    """
+    found = dominant_loads(protocol)
+    apart = np.abs(protocol.flexion_deg[:, None] - protocol.flexion_deg)
+    size = np.where(found.size == 0.0, np.inf, np.abs(found.size))
+    unlike = np.abs(found.size[:, None] + found.size) / size
+    fits = (
+        (found.axis[:, None] == found.axis)
+        & (found.size[:, None] > 0.0)
+        & (found.size < 0.0)
+        & (apart <= SAME_FLEXION_DEG)
+        & (unlike <= ALIKE)
+    )
+    first, second = np.nonzero(fits)
+    distance = apart[first, second] / SAME_FLEXION_DEG + unlike[first, second] / ALIKE
+    order = np.lexsort((first, distance))
+    taken: set[int] = set()
+    pairs = []
+    for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):
+        if not taken & {i, j}:
+            taken |= {i, j}
+            pairs.append((i, j))
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
+
+
+SAME_ANGLE_DEG = 0.5
+"""Trials whose flexion angles differ by no more [deg] share their unloaded pose: a rig set to 30
+seldom reads 30.0."""
+ABSOLUTE, UNLOADED, OPPOSITE = "absolute", "unloaded", "opposite"
+ZEROS = (ABSOLUTE, UNLOADED, OPPOSITE)
+
+
+def from_zero(values: Array, protocol: Protocol, zero: str) -> Array:
+    """`values` less their mean over the trials that they are counted from.
+
+    Parameters
+    ----------
+    values
+        Anything with a row a trial, shape ``(n, ...)``: coordinates, or their Jacobian.
+    protocol
+        The trials.
+    zero
+        ``"absolute"``, ``"unloaded"``, ``"opposite"`` or the name of a trial.
+
+    Raises
+    ------
+    ValueError
+        If a trial that others are counted from is missing.
+    """
+    if zero == ABSOLUTE:
+        return values
+    zeros = [values[rows].mean(axis=0) for rows in zero_trials(protocol, zero)]
+    return np.asarray(values - np.array(zeros).reshape(values.shape), dtype=np.float64)
+
+
+def zero_trials(protocol: Protocol, zero: str) -> tuple[IntArray, ...]:
+    """Indices of the reference trials of each trial, one array per trial.
+
+    A trial without an opposite one is counted from itself: its change says nothing.
+
+    Raises
+    ------
+    ValueError
+        If a flexion angle has no unloaded trial, or no trial is called so.
+    """
+    if zero == UNLOADED:
+        return unloaded_trials(protocol)
+    if zero == OPPOSITE:
+        from_which = np.arange(protocol.n)
+        for pair in opposite_pairs(protocol):
+            from_which[pair] = pair[::-1]
+        return tuple(from_which[:, None])
+    if zero not in protocol.trials:
+        raise ValueError(
+            f"no trial of {protocol.name!r} is called {zero}, from which the others are counted. "
+            "Keep it in the table."
+        )
+    return tuple(np.full((protocol.n, 1), protocol.trials.index(zero)))
+
+
+def unloaded_trials(protocol: Protocol) -> tuple[IntArray, ...]:
+    """Indices of the unloaded trials at the flexion angle of each trial, one array a trial.
+
+    Raises
+    ------
+    ValueError
+        If a flexion angle has no unloaded trial.
+    """
+    unloaded = np.flatnonzero(protocol.is_unloaded)
+    found = []
+    for flexion in protocol.flexion_deg:
+        near = np.abs(protocol.flexion_deg[unloaded] - flexion) <= SAME_ANGLE_DEG
+        if not near.any():
+            raise ValueError(
+                f"no trial of {protocol.name!r} is unloaded at {flexion:g} deg flexion. "
+                "Add one with all loads zero at that angle."
+            )
+        found.append(unloaded[near].astype(np.int64))
+    return tuple(found)
+
+
+def zero_of_added_trials(zero: str) -> str:
+    """What trials to be added to a table are counted from: where it is not absolute, unloaded."""
+    return ABSOLUTE if zero == ABSOLUTE else UNLOADED
+
+
+def zero_fault(zero: str, protocol: Protocol, coordinates: Array) -> tuple[str, str] | None:
+    """Why coordinates cannot be counted from there, and the remedy; None if they can.
+
+    Parameters
+    ----------
+    zero
+        As in `from_zero`.
+    protocol, coordinates
+        The trials, and their coordinates, NaN where not measured, shape ``(n, 5)``.
+    """
+    measured = ~np.isnan(coordinates)
+    if zero == OPPOSITE:
+        return _opposite_fault(protocol, measured)
+    if zero in ZEROS:
+        return None
+    if zero not in protocol.trials:
+        return (
+            f"the zero {zero!r} is unknown and no trial",
+            "Write unloaded, opposite or the name of a trial, or leave the line out",
+        )
+    own = coordinates[protocol.trials.index(zero)]
+    if np.any(own[~np.isnan(own)] != 0.0):
+        return (
+            f"{zero} is the zero of the table and has coordinates other than 0",
+            "Leave its cells blank",
+        )
+    return None
+
+
+def _opposite_fault(protocol: Protocol, measured: BoolArray) -> tuple[str, str] | None:
+    pairs = opposite_pairs(protocol)
+    alone = np.array(measured.any(axis=1))
+    alone[pairs.ravel()] = False
+    if alone.any():
+        trial = protocol.trials[int(np.argmax(alone))]
+        return (
+            f"{trial} has coordinates, and no trial at its flexion angle has the opposite load",
+            "Add that trial with blank cells, or leave the cells of this one blank",
+        )
+    twice = [pair for pair in pairs.tolist() if measured[pair].all(axis=0).any()]
+    if twice:
+        first, second = (protocol.trials[i] for i in twice[0])
+        return (
+            f"{first} and {second} both have coordinates, which would count their difference twice",
+            "Give it in the row of one of them, and leave the cells of the other blank",
+        )
+    return None
+
+
+FLEXION_DEG = tuple(range(0, 121, 15))
+# What rigs and examiners apply: drawer, varus/valgus and internal/external tests one at a time, on
+# a compressed or distracted knee, and in pairs.
+SINGLE: tuple[Mapping[str, float], ...] = (
+    {},
+    *({"internal_moment_Nm": x} for x in (-10.0, -5.0, 5.0, 10.0)),
+    *({"varus_moment_Nm": x} for x in (-10.0, 10.0)),
+    *({"anterior_force_N": x} for x in (-100.0, 134.0)),
+    *({"distraction_force_N": x} for x in (-250.0, 100.0)),
+)
+COMBINED: tuple[Mapping[str, float], ...] = (
+    *({"internal_moment_Nm": x, "varus_moment_Nm": y} for x in (-5.0, 5.0) for y in (-10.0, 10.0)),
+    *(
+        {"internal_moment_Nm": x, "anterior_force_N": y}
+        for x in (-5.0, 5.0)
+        for y in (-100.0, 134.0)
+    ),
+    *({"internal_moment_Nm": x, "distraction_force_N": -250.0} for x in (-5.0, 5.0)),
+    *({"anterior_force_N": x, "distraction_force_N": -250.0} for x in (-100.0, 134.0)),
+)
+
+
+def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG) -> Protocol:
+    """Trials that might be added to those made: single loads, combined loads and repeats.
+
+    At each flexion angle the unloaded knee, internal and external moments of 5 and 10 N·m, varus
+    and valgus of 10 N·m, anterior 134 N, posterior 100 N, compression 250 N, distraction 100 N, and
+    pairs of them; and every trial made already, once more.
+
+    Parameters
+    ----------
+    made
+        The trials made. A candidate with the angle and the loads of one of them is its repeat and
+        bears its name.
+    flexion_deg
+        Angles of the new ones [deg].
+
+    Examples
+    --------
+    >>> from identknee.laxity.protocol import load_protocol
+    >>> candidates = candidate_trials(load_protocol("seed63"), [0, 90])
+    >>> candidates.n, candidates.trials[63]
+    (104, 'flexion0_internal-5Nm')
+    """
+    trials = zip(made.trials, made.flexion_deg, made.loads, strict=True)
+    rows = {_key(a, x): (t, float(a), x) for t, a, x in trials}
+    taken = set(made.trials)
+    for angle in flexion_deg:
+        for loads in (*SINGLE, *COMBINED):
+            values = np.array([loads.get(column, 0.0) for column in LOADS])
+            name = trial_name(angle, values.tolist())
+            # A trial made under this name may have other loads.
+            while name in taken and _key(angle, values) not in rows:
+                name += "_new"
+            rows.setdefault(_key(angle, values), (name, float(angle), values))
+            taken.add(name)
+    names, angles, values_of = zip(*rows.values(), strict=True)
+    return Protocol(
+        name=f"candidates for {made.name}",
+        trials=names,
+        flexion_deg=np.array(angles),
+        loads=np.array(values_of),
+    )
+
+
+def unique_names(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
+    """The names, with a number added to those that are taken or come again.
+
+    Examples
+    --------
+    >>> unique_names(["a", "b", "a"], taken=["b"])
+    ('a', 'b_repeat2', 'a_repeat2')
+    """
+    used = set(taken)
+    given = []
+    for name in names:
+        new, number = name, 1
+        while new in used:
+            number += 1
+            new = f"{name}_repeat{number}"
+        used.add(new)
+        given.append(new)
+    return tuple(given)
+
+
+def _key(angle: float, loads: np.ndarray) -> tuple[float, ...]:
+    return (float(angle), *(loads + 0.0).tolist())

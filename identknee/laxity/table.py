@@ -1,22 +1,31 @@
-"""Laxity, measured or simulated: where the tibia went in each trial; its CSV file."""
+"""Laxity tables: reading, writing, comparing, noise, and those that come with identknee."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.named_tables import laxity_file
+from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
+    ABSOLUTE,
+    BUILT_IN,
     FLEXION,
     LOADS,
+    UNLOADED,
     Protocol,
+    from_zero,
+    load_protocol,
     name_fault,
     range_fault,
     selected_rows,
+    unloaded_trials,
+    zero_fault,
 )
 from identknee.laxity.table_file import (
+    OPENSIM,
     STATEMENT,
     TIME,
     CellFile,
@@ -27,10 +36,9 @@ from identknee.laxity.table_file import (
     statements,
     written,
 )
-from identknee.laxity.zero_conventions import zero_fault
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
-from identknee.runs.errors import InputError
+from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike, write_atomically
 
 COORDINATES = (
@@ -402,3 +410,248 @@ def _phase(row: TableRow) -> str:
             "Write loading or unloading, or leave it blank.",
         )
     return phase
+
+
+def relative_to_unloaded(laxity: Laxity) -> Laxity:
+    """The same laxity as changes from the unloaded pose of each flexion angle.
+
+    Replicates of the unloaded trial are averaged over those that measured the coordinate; where
+    none did, the change is not measured either. A standard deviation of a loaded trial becomes that
+    of the difference; unloaded trials keep their own. Laxity that is relative already is returned
+    as it is.
+
+    Raises
+    ------
+    ValueError
+        If a flexion angle has no unloaded trial.
+    """
+    if laxity.zero == "unloaded":
+        return laxity
+    measured = laxity.is_measured
+    zeros = np.empty(laxity.coordinates.shape)
+    variances = np.empty(laxity.coordinates.shape)
+    filled = np.where(measured, laxity.coordinates, 0.0)
+    squares = np.zeros_like(filled) if laxity.sd is None else np.where(measured, laxity.sd**2, 0.0)
+    for row, unloaded in enumerate(unloaded_trials(laxity.protocol)):
+        count = measured[unloaded].sum(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            zeros[row] = filled[unloaded].sum(axis=0) / count
+            variances[row] = squares[unloaded].sum(axis=0) / count**2
+    sd = laxity.sd
+    if sd is not None:
+        added = np.where(laxity.protocol.is_unloaded[:, None] | np.isnan(variances), 0.0, variances)
+        sd = np.sqrt(sd**2 + added)
+    return replace(laxity, coordinates=laxity.coordinates - zeros, sd=sd, zero="unloaded")
+
+
+@declared
+class LaxityError:
+    """Root-mean-square differences of two laxities; NaN where nothing was compared."""
+
+    mm: float = entry("Error of the three translations", unit="mm")
+    deg: float = entry("Error of varus and internal rotation", unit="deg")
+    by_coordinate: Array = array(
+        "Error of each coordinate", "coordinate", unit=OF_COORDINATE, group="errors"
+    )
+    flexion_deg: Array = array("Flexion angles, ascending", "flexion", unit="deg", group="errors")
+    by_flexion: Array = array(
+        "Error at each flexion angle",
+        *("flexion", "coordinate"),
+        unit=OF_COORDINATE,
+        group="errors",
+    )
+    n_compared: int = entry("Measured values with a prediction", unit="1")
+    n_missing: int = entry(
+        "Measured values without one; they are left out, which makes the errors too good", unit="1"
+    )
+
+
+def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
+    """Root-mean-square difference over all that was measured.
+
+    Where only `measured` counts from poses of its own, `simulated` is made so first.
+
+    Raises
+    ------
+    ValueError
+        If the trials differ, or `simulated` counts from other poses than `measured`.
+    """
+    if simulated.protocol.trials != measured.protocol.trials:
+        raise ValueError(
+            "the two laxities have different trials. Simulate the protocol of the measured one."
+        )
+    if simulated.zero not in (ABSOLUTE, measured.zero):
+        raise ValueError(
+            f"the simulated laxity has the zero {simulated.zero} and the measured one "
+            f"{measured.zero}. Give the simulated one in absolute coordinates."
+        )
+    shown = simulated.coordinates
+    if measured.zero == UNLOADED:
+        shown = relative_to_unloaded(simulated).coordinates
+    elif simulated.zero == ABSOLUTE:
+        shown = from_zero(shown, simulated.protocol, measured.zero)
+    squares = (shown - measured.coordinates) ** 2
+    compared = ~np.isnan(squares)
+    flexion = np.unique(measured.protocol.flexion_deg)
+    rows = [measured.protocol.flexion_deg == angle for angle in flexion]
+    return LaxityError(
+        mm=_root_mean(squares[:, TRANSLATIONS]),
+        deg=_root_mean(squares[:, ROTATIONS]),
+        by_coordinate=np.array([_root_mean(column) for column in squares.T]),
+        flexion_deg=flexion,
+        by_flexion=np.array([[_root_mean(x) for x in squares[row].T] for row in rows]).reshape(
+            len(rows), len(COORDINATES)
+        ),
+        n_compared=int(compared.sum()),
+        n_missing=int((measured.is_measured & np.isnan(shown)).sum()),
+    )
+
+
+def _root_mean(squares: Array) -> float:
+    values = squares[~np.isnan(squares)]
+    return float(np.sqrt(values.mean())) if values.size else float("nan")
+
+
+def add_noise(
+    laxity: Laxity,
+    *,
+    sd_mm: float,
+    sd_deg: float,
+    seed: int | np.random.SeedSequence,
+    correlation: float = 0.0,
+    student_degrees: float | None = None,
+) -> Laxity:
+    """`laxity` with random errors added and their size stated.
+
+    The errors of a trial are ``sd * (L z)`` with ``L L' = (1 - r) I + r`` (Cholesky) and five
+    independent standard draws ``z``, so that standard deviations and correlation are exact for
+    either distribution; trials are independent. Coordinates not measured stay so, and do not change
+    the errors of the others.
+
+    Parameters
+    ----------
+    laxity
+        Without noise so far.
+    sd_mm, sd_deg
+        Standard deviation of translations [mm] and rotations [deg], > 0.
+    seed
+        Whole number or seed sequence; the same seed gives the same errors.
+    correlation
+        What the five errors of a trial share, above -0.25 and below 1.
+    student_degrees
+        Degrees of freedom, > 2, of a Student t distribution scaled to the standard deviations: the
+        fewer, the heavier its tails. Normal where None.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range or `laxity` states a noise already.
+    """
+    for name, value in (("sd_mm", sd_mm), ("sd_deg", sd_deg)):
+        if not 0 < value < np.inf:
+            raise ValueError(f"{name} must be greater than 0 and finite, got {value:g}")
+    if fault := correlation_fault(correlation):
+        raise ValueError(". ".join(fault))
+    if student_degrees is not None and not 2 < student_degrees < np.inf:
+        raise ValueError(
+            f"student_degrees must be greater than 2 for a finite spread, got {student_degrees:g}"
+        )
+    if laxity.sd is not None:
+        raise ValueError("the laxity has standard deviations already: add noise once only")
+    n_coordinates = len(COORDINATES)
+    sd = np.empty((laxity.n, n_coordinates))
+    sd[:, TRANSLATIONS], sd[:, ROTATIONS] = sd_mm, sd_deg
+    shared = np.full((n_coordinates, n_coordinates), correlation)
+    np.fill_diagonal(shared, 1.0)
+    # Fixed loops instead of a matrix product, whose last bit depends on the machine's library.
+    draws = _standard_draws(np.random.default_rng(seed), sd.shape, student_degrees)
+    errors = np.einsum("ij,nj->ni", np.linalg.cholesky(shared), draws)
+    return replace(
+        laxity,
+        coordinates=laxity.coordinates + sd * errors,
+        sd=sd,
+        within_trial_correlation=correlation,
+    )
+
+
+def _standard_draws(
+    generator: np.random.Generator, shape: tuple[int, int], student_degrees: float | None
+) -> Array:
+    """Independent draws of mean 0 and variance 1."""
+    if student_degrees is None:
+        return generator.standard_normal(shape)
+    scale = np.sqrt((student_degrees - 2) / student_degrees)
+    return np.asarray(scale * generator.standard_t(student_degrees, shape))
+
+
+_TABLE_FILES = (".csv", *OPENSIM)
+
+TrialsLike = Protocol | PathLike
+"""A protocol, the name or file of one, or a laxity table whose trials are meant."""
+
+
+def read_tests(given: TrialsLike) -> Protocol | Laxity:
+    """The trials of a protocol or table, as a laxity table if they come from one.
+
+    Parameters
+    ----------
+    given
+        A protocol, the name of one (``"seed63"``), its TOML file, a laxity table (CSV), or the name
+        of a subject that comes with measured laxity (``"s192803"``). The table need not hold any
+        measured value.
+
+    Raises
+    ------
+    InputError
+        If there is nothing of this name, or the file breaks a rule.
+    """
+    if isinstance(given, Protocol):
+        return given
+    path = Path(given)
+    if given in TABLES or path.suffix.lower() in _TABLE_FILES:
+        return read_laxity(given, is_measured=False)
+    if given not in BUILT_IN and path.suffix == "" and not path.exists():
+        raise InputError(
+            path,
+            "",
+            "there is no protocol and no file of this name",
+            f"{suggestion(str(path), (*BUILT_IN, *TABLES))} "
+            "Or give a protocol (TOML) or a laxity table (CSV).",
+        )
+    return load_protocol(given)
+
+
+def read_trials(given: TrialsLike) -> Protocol:
+    """The trials of a protocol or table; see `read_tests`.
+
+    Examples
+    --------
+    >>> read_trials("drawer").n, read_trials("s192803").n
+    (9, 25)
+    """
+    tests = read_tests(given)
+    return tests.protocol if isinstance(tests, Laxity) else tests
+
+
+def example_laxity(name: str) -> Laxity:
+    """The measured laxity of a named subject, which comes with identknee.
+
+    Parameters
+    ----------
+    name
+        ``"s192803"``: 25 end points of a robotic knee simulator; ``"s192803_bundles"``, the same
+        specimen, has the same table.
+
+    Raises
+    ------
+    ValueError
+        If there is no such table; the message lists them.
+
+    Examples
+    --------
+    >>> example_laxity("s192803").n
+    25
+    """
+    if name not in TABLES:
+        raise ValueError(f"no laxity of {name!r} comes with identknee. {suggestion(name, TABLES)}")
+    return read_laxity(name)

@@ -13,9 +13,15 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.dominant_load import SAME_FLEXION_DEG, STRAY, TYPICAL
-from identknee.laxity.protocol import DIRECTIONS, Protocol
-from identknee.laxity.zero_conventions import ZEROS, zero_fault
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    SAME_FLEXION_DEG,
+    STRAY,
+    TYPICAL,
+    ZEROS,
+    Protocol,
+    zero_fault,
+)
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable

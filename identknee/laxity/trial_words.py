@@ -4,8 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from identknee.laxity.dominant_load import dominant_loads, nominal_flexion, nominal_loads
-from identknee.laxity.protocol import DIRECTIONS, FLEXION, LOADS, Protocol
+from identknee.laxity.protocol import (
+    DIRECTIONS,
+    FLEXION,
+    LOADS,
+    Protocol,
+    dominant_loads,
+    nominal_flexion,
+    nominal_loads,
+)
 from identknee.laxity.table import COORDINATES
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from identknee.mechanics.compiled import compiled, compiled_into_callers
-from identknee.mechanics.contact_law import REFERENCE_DEPTH
+from identknee.mechanics.distance_field import REFERENCE_DEPTH
 from identknee.mechanics.elements import NOTHING, added
 from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, N_TOUCHING, NEAR_CELLS
 

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.pose import place, rotation_matrix
 from identknee.runs.arrays import Array, BoolArray, IntArray

@@ -118,7 +118,7 @@ LINE = np.dtype(
 
 
 class NodeArrays(NamedTuple):
-    """A tree of load paths; see `identknee.mechanics.load_paths.LoadPaths`.
+    """A tree of load paths; see `identknee.mechanics.equilibria.LoadPaths`.
 
     Attributes
     ----------

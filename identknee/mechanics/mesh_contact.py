@@ -23,15 +23,14 @@ import fcl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
-from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.distance_field import PRESSURE_MODULUS
+from identknee.mechanics.equilibria import LineLigaments, LoadPaths
 from identknee.mechanics.ligament_tensions import ligament_wrench
-from identknee.mechanics.load_paths import LoadPaths
 from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.mechanics.pose import Placement, place
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 Convention = Literal["tibia", "femur", "both"]
 
@@ -409,7 +408,7 @@ def mesh_equilibria(
     ----------
     paths
         Flexion and generalised loads of (varus, internal [N mm], x, y, z [N]) in small steps, as
-        `identknee.mechanics.load_paths.load_paths` makes them.
+        `identknee.mechanics.equilibria.load_paths` makes them.
     start
         Pose where the paths begin: varus, internal [rad], x, y, z [mm], shape ``(5,)``, or one for
         each node, ``(n_nodes, 5)``.

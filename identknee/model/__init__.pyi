@@ -1,15 +1,13 @@
 from .candidate_laxity import CandidateLaxity as CandidateLaxity
 from .candidate_laxity import typical_errors as typical_errors
-from .effects.contact_law import Cartilage as Cartilage
 from .effects.effect import Effect as Effect
 from .effects.effect import amplitudes as amplitudes
+from .effects.library import effects_of as effects_of
 from .effects.library import library as library
-from .effects.stored import effects_of as effects_of
-from .equivalence import PAPER_LIMITS as PAPER_LIMITS
-from .equivalence import rms_blocks as rms_blocks
+from .effects.tissues import Cartilage as Cartilage
+from .laxity_model import Prediction as Prediction
 from .parameters import STIFFNESS as STIFFNESS
 from .parameters import STRAIN as STRAIN
-from .prediction import Prediction as Prediction
 from .quantities import LaxityOutputs as LaxityOutputs
 from .quantities import LigamentForce as LigamentForce
 from .quantities import PredictedLaxity as PredictedLaxity
@@ -17,3 +15,5 @@ from .quantities import ligament_forces as ligament_forces
 from .quantities import predicted_quantities as predicted_quantities
 from .quantities import quantity_named as quantity_named
 from .quantities import tensions_of as tensions_of
+from .residuals import PAPER_LIMITS as PAPER_LIMITS
+from .residuals import rms_blocks as rms_blocks

@@ -5,20 +5,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identknee.laxity.candidates import FLEXION_DEG, candidate_trials
-from identknee.laxity.protocol import Protocol, concatenate
-from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zero_conventions import (
+from identknee.laxity.protocol import (
+    FLEXION_DEG,
     SAME_ANGLE_DEG,
     UNLOADED,
+    Protocol,
+    candidate_trials,
+    concatenate,
     from_zero,
     zero_of_added_trials,
 )
-from identknee.mechanics.grood_suntay import pose_from_coordinates
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import POSE_EVERY_DEG
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.mechanics.pose import pose_from_coordinates
+from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, frozen
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other

@@ -7,13 +7,11 @@ from functools import partial
 import numpy as np
 
 from identknee.model.effects.insertion import SHIFT_LIMIT, insertion
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.executors import Executor, serial
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Knee, Ligament
 
 BONES = ("femur", "tibia")
 # Of each axis of a bone's frame, its negative and its positive direction.

@@ -1,34 +1,414 @@
-"""The laxity model: a knee under a protocol, its prediction and the prediction's exact Jacobian."""
+"""The laxity model: a knee under a protocol, its geometry, parameters, prediction and Jacobian."""
 
+import hashlib
+import io
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
+from zipfile import BadZipFile
 
 import numpy as np
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.mechanics.contact_law import ContactLaw
-from identknee.mechanics.contact_points import DEFAULT_NUMBER, ContactPlaces, contact_places
-from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, solve
-from identknee.mechanics.grood_suntay import coordinate_jacobian, coordinates_from_pose
-from identknee.mechanics.load_paths import Continuation, LoadPaths, load_paths, paths_of_single_step
+from identknee.mechanics.closest_point import mesh_distance
+from identknee.mechanics.contact_points import (
+    DEFAULT_NUMBER,
+    ContactPlaces,
+    RimDistance,
+    contact_places,
+    contact_points,
+    rim_distance,
+    rim_force_fraction,
+)
+from identknee.mechanics.distance_field import SPACING, ContactLaw, DistanceField, build_field
+from identknee.mechanics.equilibria import (
+    ContactPoints,
+    Continuation,
+    LineLigaments,
+    LoadPaths,
+    load_paths,
+    paths_of_single_step,
+    solve,
+    stability_margins,
+)
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
-from identknee.model import measured_start
-from identknee.model.contact_geometry import ContactGeometry, contact_geometry, contact_sheets
-from identknee.model.effect_stack import EffectStack
-from identknee.model.effects.effect import Effect, TrialRecord
-from identknee.model.knee_parameters import ParameterGroups, knee_parameters, tied
+from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, start_pose
+from identknee.model import mechanics_inputs as measured_start
+from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, joined
+from identknee.model.effects.library import values_of
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
-from identknee.model.nuisances import StoredWithKnee, stored_effects
-from identknee.model.parameters import Parameters
-from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, IntArray, short_repr
-from identknee.runs.outcome import Outcome
-from identknee.subject.knee import Knee
+from identknee.model.nuisances import StoredWithKnee, contact_rounding, stored_effects
+from identknee.model.parameters import Parameters, ligament_parameters
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, short_repr
+from identknee.runs.declare import declared, entry
+from identknee.runs.errors import InputError
+from identknee.runs.files import cache_folder, prepare_folder, write_atomically
+from identknee.runs.record import Outcome
+from identknee.subject.knee import Knee, StatedPrior
+
+FIELD_FORMAT = b"field 6"
+Sheet = tuple[Array, IntArray]
+
+
+@declared
+class ContactGeometry:
+    """The arrays of a knee for the kernel."""
+
+    field: DistanceField = entry("Signed distance to the femur, in femoral axes")
+    contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")
+    lines: LineLigaments = entry("The ligaments")
+    femoral_rim: RimDistance = entry("How far places on the femoral surface are from its rim")
+    tibial_rims: tuple[RimDistance, ...] = entry("The same of each tibial surface")
+    start_flexion: float = entry("Flexion of the scanned pose [rad]")
+    start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
+
+
+@lru_cache(maxsize=16)
+def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> ContactGeometry:
+    """The joint of a knee with about `n_points` contact points (None for every vertex).
+
+    The distance field is read from the cache on disk where it was built before.
+    """
+    (femoral, _), sheets = contact_sheets(knee)
+    flexion, start = start_pose(
+        knee.femur_frame.axes @ knee.tibia_frame.axes.T,
+        knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
+    )
+    insertions = np.array([x.femur for x in knee.ligaments]).reshape(-1, 3)
+    tibial_insertions = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
+    contact, rounding = contact_points(sheets, n_points), contact_rounding(knee)
+    if rounding:
+        contact = replace(contact, law=ContactLaw(rounding=rounding))
+    return ContactGeometry(
+        field=_field(knee, femoral),
+        contact=contact,
+        lines=LineLigaments(
+            femoral=knee.femur_frame.to_local(insertions),
+            tibial=knee.tibia_frame.to_local(tibial_insertions),
+            reference_length=knee.reference_lengths,
+        ),
+        femoral_rim=rim_distance(femoral, knee.femur.faces),
+        tibial_rims=tuple(rim_distance(vertices, faces) for vertices, faces in sheets),
+        start_flexion=flexion,
+        start=frozen(start, 5, name="start"),
+    )
+
+
+def contact_sheets(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
+    """Vertices and faces of the femur in femoral axes, of each tibial surface in tibial axes."""
+    femur = (knee.femur_frame.to_local(knee.femur.vertices), knee.femur.faces)
+    tibia = tuple((knee.tibia_frame.to_local(x.vertices), x.faces) for x in knee.tibia)
+    return femur, tibia
+
+
+def _field(knee: Knee, femoral: Array) -> DistanceField:
+    """The distance field of the femur, from the cache or built and put there."""
+    distance: Callable[[Array], Array] | None = None
+    digest = hashlib.sha256(FIELD_FORMAT + repr(SPACING).encode())
+    digest.update(femoral.tobytes())
+    if knee.femur_distance is not None:
+        closed_form = knee.femur_distance
+
+        def distance(points: Array) -> Array:
+            return closed_form(knee.femur_frame.to_common(points))
+
+        # A formula has no bytes: what it gives off the surface stands for it.
+        digest.update(distance(femoral[::7] * 1.02).tobytes())
+    else:
+        digest.update(knee.femur.faces.tobytes())
+    path = cache_folder() / "fields" / f"{digest.hexdigest()[:24]}.npz"
+    cached = _read_field(path)
+    if cached is not None:
+        return cached
+    field = build_field(
+        distance or mesh_distance(femoral, knee.femur.faces),
+        femoral.min(axis=0),
+        femoral.max(axis=0),
+    )
+    _keep_field(path, field)
+    return field
+
+
+def _read_field(path: Path) -> DistanceField | None:
+    """The field kept at `path`; None where there is none or it is damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as stored:
+            return DistanceField(
+                coefficients=stored["coefficients"],
+                reach=stored["reach"],
+                near=stored["near"],
+                origin=stored["origin"],
+                spacing=float(stored["spacing"]),
+            )
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile):
+        return None
+
+
+def _keep_field(path: Path, field: DistanceField) -> None:
+    """Write the field to the cache; a cache that cannot be written is no failure."""
+    stored = io.BytesIO()
+    np.savez(
+        stored,
+        coefficients=field.coefficients,
+        reach=field.reach,
+        near=field.near,
+        origin=field.origin,
+        spacing=field.spacing,
+    )
+    with suppress(InputError):
+        write_atomically(prepare_folder(path.parent) / path.name, stored.getvalue())
+
+
+def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Parameters:
+    """A copy with other priors for the parameters named.
+
+    Raises
+    ------
+    ValueError
+        If a name is no parameter's, or a lognormal prior has no centre above 0.
+
+    Examples
+    --------
+    >>> from identknee.model.parameters import ligament_parameters
+    >>> everything = ligament_parameters(["ACL"], [10.0], [8.0])
+    >>> with_priors(everything, {"ACL.stiffness_kN": StatedPrior(log_sd=0.5)}).prior_sd.tolist()
+    [0.5, 2.0]
+    """
+    if not priors:
+        return parameters
+    center, prior_sd = np.array(parameters.center), np.array(parameters.prior_sd)
+    is_log, start = np.array(parameters.is_log), np.array(parameters.start)
+    for name, prior in priors.items():
+        i = parameters.index(name)
+        center[i] = start[i] if prior.center is None else prior.center
+        prior_sd[i], is_log[i] = prior.spread, prior.is_log
+        if prior.is_log and not center[i] > 0.0:
+            raise ValueError(
+                f"the lognormal prior of {name} needs a centre above 0, got {center[i]:g}"
+            )
+    return replace(parameters, center=center, prior_sd=prior_sd, is_log=is_log, own=start)
+
+
+@declared
+class ParameterGroups:
+    """Parameter groups with one stiffness scale and strain offset: several ligaments or one."""
+
+    names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
+    member: Array = entry(
+        "Which of the m ligaments belongs to which unit, 1 or 0, shape ``(m, u)``"
+    )
+    share: Array = entry("Stiffness of each ligament over that of its unit, shape ``(m,)``")
+    offset: Array = entry("Reference strain of each less that of its unit [%], shape ``(m,)``")
+    stiffness_kN: Array = entry("The knee's own stiffness of each unit: the sum, shape ``(u,)``")  # noqa: N815 - the unit
+    reference_strain_pct: Array = entry(
+        "The knee's own reference strain of each unit: the mean weighted by stiffness, shape "
+        "``(u,)``"
+    )
+    by_stiffness: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "by_stiffness", self.member * self.share[:, None])
+
+    @property
+    def n(self) -> int:
+        """How many units there are."""
+        return len(self.names)
+
+    def stiffness(self, values: Array) -> Array:
+        """Stiffness of each ligament from those of the units, shape ``(m,)``."""
+        return np.asarray(self.by_stiffness @ values)
+
+    def strain(self, values: Array) -> Array:
+        """Reference strain of each ligament [%] from those of the units, shape ``(m,)``."""
+        return np.asarray(self.member @ values + self.offset)
+
+    def strain_upper_limits(self, strains: Array) -> Array:
+        """The largest strain of each unit [%] at which no member exceeds its own, ``(u,)``."""
+        allowed = np.where(self.member > 0.0, (strains - self.offset)[:, None], np.inf)
+        return np.asarray(allowed.min(axis=0))
+
+
+def tied(knee: Knee) -> ParameterGroups:
+    """The parameter groups of a knee: its ligament groups, and its other ligaments alone.
+
+    Examples
+    --------
+    >>> from identknee.subject.reference import reference_knee
+    >>> tied(reference_knee()).names
+    ('ACL', 'PCL', 'LCL', 'MCL')
+    """
+    group_of = {member: group.name for group in knee.groups for member in group.members}
+    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    names = tuple(dict.fromkeys(owners))
+    member = np.array([[float(owner == x) for x in names] for owner in owners])
+    member = member.reshape(len(owners), len(names))
+    stiffness = np.array([x.stiffness_kN for x in knee.ligaments])
+    strain = np.array([x.reference_strain_pct for x in knee.ligaments])
+    alone = member.sum(axis=0) == 1.0
+    total = stiffness @ member
+    # A ligament alone may have no stiffness, and has it whole all the same.
+    weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
+    mean = (weights * strain) @ member
+    return ParameterGroups(
+        names=names,
+        member=frozen(member, None, None, name="members"),
+        share=frozen(weights, None, name="shares"),
+        offset=frozen(strain - member @ mean, None, name="offsets"),
+        stiffness_kN=total,
+        reference_strain_pct=mean,
+    )
+
+
+def knee_parameters(
+    knee: Knee, units: ParameterGroups, amplitudes: Parameters | None
+) -> Parameters:
+    """Parameters of the ligaments, then the amplitudes, with priors, bounds and own values.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    units
+        Its ligaments, those of a group as one.
+    amplitudes
+        Those of the effects; None without any.
+    """
+    parameters = ligament_parameters(
+        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist()
+    )
+    if amplitudes is not None:
+        parameters = joined([parameters, amplitudes])
+    known = set(parameters.names)
+    priors = {name: x for name, x in knee.priors.items() if name in known}
+    bounds = {name: x for name, x in knee.bounds.items() if name in known}
+    stored = {**values_of(knee), **knee.fitted}
+    own = {name: x for name, x in stored.items() if name in known}
+    return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
+
+
+# A trial with more of its contact force near a rim than this is worth a word to the user.
+NOTEWORTHY_RIM_SHARE = 0.05
+# In the order of the kernel's codes.
+OUTCOMES = (
+    Outcome.CONVERGED,
+    Outcome.FOLD,
+    Outcome.NO_EQUILIBRIUM,
+    Outcome.UNCONSTRAINED,
+)
+
+
+@declared
+class Prediction:
+    """The prediction of a laxity model at one parameter vector, for n trials and p parameters."""
+
+    theta: Array = entry("The parameter vector, shape ``(p,)``")
+    coordinates: Array = entry(
+        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape "
+        "``(n, 5)``; NaN where a trial did not converge"
+    )
+    jacobian: Array | None = entry(
+        "Derivatives of the coordinates by theta, shape ``(n, 5, p)``; None if not asked for"
+    )
+    pose_jacobian: Array | None = entry(
+        "Derivatives of the pose by theta, shape ``(n, 5, p)``; None with the Jacobian"
+    )
+    codes: IntArray = entry("How each trial ended, as places in `OUTCOMES`, shape ``(n,)``")
+    poses: Array = entry(
+        "The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm], shape "
+        "``(n, 5)``"
+    )
+    hessians: Array | None = entry(
+        "Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for "
+        "mesh contact, which has none"
+    )
+    reached: Array = entry(
+        "Share of the last load step that was reached, shape ``(n,)``; NaN where a search that "
+        "begins at full load failed"
+    )
+    centres: Array = entry(
+        "Contact force of every trial and compartment [N], its centre in tibial and in femoral "
+        "axes [mm], shape ``(n, compartments, 7)``"
+    )
+    rims: tuple[RimDistance, tuple[RimDistance, ...]] | None = entry(
+        "How far places are from the rims of the femur and of each tibial surface; None for mesh "
+        "contact"
+    )
+    node_poses: Array = entry(
+        "Poses at all nodes of the load paths, where another prediction may start"
+    )
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        for values in (self.theta, self.coordinates, self.codes, self.poses):
+            values.flags.writeable = False
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """How each trial ended."""
+        return tuple(OUTCOMES[code] for code in self.codes)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """How each trial ended, as sentences."""
+        return tuple(
+            outcome.sentence
+            if converged or np.isnan(reached)
+            else f"{outcome.sentence} {100 * reached:.0f} % of the last load step was reached."
+            for outcome, converged, reached in zip(
+                self.outcomes, self.is_converged, self.reached, strict=True
+            )
+        )
+
+    @property
+    def is_converged(self) -> BoolArray:
+        """Which trials have an equilibrium, shape ``(n,)``."""
+        return np.asarray(self.codes == CONVERGED)
+
+    @property
+    def all_converged(self) -> bool:
+        """Whether every trial has one."""
+        return bool(self.is_converged.all())
+
+    @property
+    def rim_share(self) -> Array:
+        """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
+
+        NaN for mesh contact. A prediction near a rim is kept: losing it would end a set of
+        parameters without any data.
+        """
+        return _rim_share(self)
+
+    @property
+    def is_near_rim(self) -> BoolArray:
+        """Which converged trials carry a noteworthy share of contact near a rim, shape ``(n,)``."""
+        return np.asarray(self.is_converged & (self.rim_share > NOTEWORTHY_RIM_SHARE))
+
+    @property
+    def margins(self) -> Array:
+        """Stability margin of each trial's pose [N/mm], shape ``(n,)``.
+
+        The smallest eigenvalue of the Hessian, rotations scaled by 40 mm; NaN for mesh contact.
+        """
+        if self.hessians is None:
+            return np.full(len(self.codes), np.nan)
+        return stability_margins(self.hessians)
+
+
+# Asked for more than once of the same prediction, and slower to find than a pose.
+@lru_cache(maxsize=2)
+def _rim_share(found: Prediction) -> Array:
+    if found.rims is None:
+        return np.full(len(found.codes), np.nan)
+    share = rim_force_fraction(found.centres, *found.rims)
+    share.flags.writeable = False
+    return share
 
 
 def solve_beyond_folds(
@@ -474,3 +854,13 @@ def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPl
         contact_places(contact, field, float(angle), pose)
         for angle, pose in zip(flexion, prediction.poses, strict=True)
     ]
+
+
+def model_for_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:
+    """The model of a knee under these tests, set up as for a fit to them.
+
+    A knee that states the poses of its fit begins at those, also in measured trials.
+    """
+    trials = tests.protocol if isinstance(tests, Laxity) else tests
+    model = LaxityModel(knee=knee, protocol=trials)
+    return model.with_tests(tests) if isinstance(tests, Laxity) and not knee.poses else model

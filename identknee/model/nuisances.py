@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.effects.effect import (
     Effect,
@@ -16,16 +16,15 @@ from identknee.model.effects.effect import (
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.frames import flexion_offset
 from identknee.model.effects.insertion import AXES, insertion
+from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
-from identknee.model.effects.stored import effects_of
+from identknee.model.effects.readings import flexion_offset
 from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import BONES
+from identknee.subject.knee import BONES, Knee
 
 # Standard deviations within which an amplitude lies.
 REACH = 4.0
@@ -263,12 +262,12 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     """The stated nuisance parameters of a knee, in the order in which they act; may be empty.
 
     Errors that are the same for every parameter are no part of it: see
-    `identknee.model.shared_errors`.
+    `identknee.model.residuals`.
 
     Examples
     --------
     >>> from identknee.subject.reference import reference_knee
-    >>> from identknee.subject.uncertainty import Uncertainty
+    >>> from identknee.subject.knee import Uncertainty
     >>> knee = reference_knee().with_uncertainty(Uncertainty(load_gain=0.03))
     >>> [x.name for x in nuisances_of(knee)]
     ['load_gain']

@@ -5,14 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero, zero_trials
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.zero_conventions import ABSOLUTE, from_zero, zero_trials
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 

@@ -13,14 +13,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.named_trials import TrialsLike, read_tests
 from identknee.laxity.protocol import load_protocol
+from identknee.laxity.table import TrialsLike, read_tests
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.mechanics.contact_law import ContactLaw
+from identknee.mechanics.distance_field import ContactLaw
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
 from identknee.mechanics.pose import Placement, place
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.model_for_tests import model_for_tests
+from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results

@@ -8,8 +8,8 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 
 from identknee.calibrate.starts import load_start
-from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.model.model_for_tests import model_for_tests
+from identknee.laxity.table import TrialsLike, read_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.report.figures import png, show_figures
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, drawings, laxity_drawings
@@ -17,8 +17,8 @@ from identknee.report.page.viewer import model_scene, scene_of, viewer_html
 from identknee.report.presenter import Drawing, main_statements, statements_of
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import finding_lines
-from identknee.runs.plain_records import summary_of
 from identknee.runs.record import record
+from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.registry import verbs_with_answer

@@ -23,7 +23,7 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.runs.declare import declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
     capitalised,

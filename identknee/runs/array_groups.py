@@ -9,7 +9,7 @@ import numpy as np
 import xarray
 
 from identknee.runs.declare import AXIS_NAMES, Entry, axis_names_within, entries
-from identknee.runs.plain_records import record_within, type_hints_of
+from identknee.runs.schema import record_within, type_hints_of
 
 Groups = Mapping[str, xarray.Dataset]
 MAIN = "result"

@@ -1,10 +1,544 @@
-"""What a result says against itself: sentences that a person must read beside the numbers."""
+"""What a result says against itself: every kind of finding, and findings of these kinds."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum, unique
 from typing import Any, TypeVar
 
 from identknee.runs.declare import declared, entry
-from identknee.runs.finding_kinds import KINDS, RANKS, UNCODED, FindingKind, Severity
+
+MULTIPLY = "If these are metres, multiply by 1000."
+DIVIDE = "If this is N per unit strain, divide by 1000."
+
+
+@unique
+class Severity(Enum):
+    """How much a finding takes from a result; the value is the word written to files."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the sentence on a terminal; nothing before an info."""
+        return _PREFIXES[self]
+
+
+_PREFIXES = {Severity.INFO: "", Severity.WARNING: "Warning: ", Severity.ERROR: "Error: "}
+INFO, WARNING, ERROR = Severity.INFO, Severity.WARNING, Severity.ERROR
+
+
+@unique
+class About(Enum):
+    """What findings are about; the value is a heading."""
+
+    DATA = "The table of measured laxity"
+    FIT = "The fit"
+    STARTS = "Searches and starts"
+    TRIALS = "Trials"
+    SUBJECT = "The subject under load"
+    MODEL = "The model at the fit"
+    CAUSES = "Causes of a diagnosis"
+    GEOMETRY = "Geometry of a subject"
+    EARLIER = "Stored by an earlier version"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingKind:
+    """What all findings of one code have in common.
+
+    Attributes
+    ----------
+    code
+        Stable identifier, written to ``result.json``.
+    severity
+        Severity unless the check states another one.
+    about
+        What findings of this kind are about: a heading of the list of codes.
+    meaning, remedy
+        What was found, and what to do about it, as sentences; no remedy where nothing is to be
+        done.
+    template
+        The sentence, to be filled from the values; empty where the check writes it.
+    lead
+        What precedes the template, which then has no full stop: on a page all findings with this
+        lead become one sentence.
+    distinct
+        Values that tell findings of this code about one place apart; of findings that agree in them
+        a report shows one.
+    invalidates
+        Whether nothing could be computed, or nothing computed holds. A command that finds it
+        writes its results and exits with 1.
+    """
+
+    code: str
+    severity: Severity
+    about: About
+    meaning: str
+    remedy: str = ""
+    template: str = ""
+    lead: str = ""
+    distinct: tuple[str, ...] = ()
+    invalidates: bool = False
+
+    def sentence(self, *details: str) -> str:
+        """The lead with the filled templates of one or several findings."""
+        return f"{self.lead}{'; '.join(details)}." if self.lead else " ".join(details)
+
+
+IMPLAUSIBLE = "Implausible at the fit: "
+CHECK = "See: identknee subject check"
+
+
+def _geometry(code: str, severity: Severity, meaning: str, remedy: str = "") -> FindingKind:
+    return FindingKind(
+        code=code,
+        severity=severity,
+        about=About.GEOMETRY,
+        meaning=meaning,
+        remedy=remedy,
+    )
+
+
+# In the order in which findings of one severity are listed: what explains others comes first.
+_ALL = (
+    FindingKind(
+        code="coordinates-of-other-frames",
+        severity=ERROR,
+        about=About.DATA,
+        meaning="At the measured poses half of the ligaments are far shorter than in the scan, so "
+        "the coordinates are not those of this subject's frames.",
+        remedy="If they are changes from a pose of the knee, say from which in a line of the "
+        "table: # zero: unloaded, # zero: opposite, or # zero: and the name of a trial.",
+        invalidates=True,
+    ),
+    FindingKind(
+        code="broken-convention",
+        severity=ERROR,
+        about=About.DATA,
+        meaning="One change of the table (a sign, a unit, the side, exchanged columns, the zero) "
+        "removes nearly all of the misfit and leaves a plausible one.",
+        remedy="Correct the table and repeat the command.",
+        invalidates=True,
+        distinct=("what",),
+    ),
+    FindingKind(
+        code="moves-against-load",
+        severity=ERROR,
+        about=About.DATA,
+        meaning="A coordinate falls as its load rises in most pairs of opposite loads, which no "
+        "knee in stable equilibrium does.",
+        remedy="Turn the sign of one of the two columns, or exchange the columns that changed "
+        "places, and begin again.",
+        invalidates=True,
+        distinct=("coordinate",),
+    ),
+    FindingKind(
+        code="no-loads",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="No trial of the table has a load.",
+        remedy="Check that the columns of loads are there.",
+        template="No trial of the table has a load, so it contains almost no information about "
+        "ligaments. "
+        "Check that the columns of loads are there.",
+    ),
+    FindingKind(
+        code="trial-against-course",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="A trial is off the course over flexion of the other trials, from the table alone.",
+        remedy="Check the trial in the raw data, and leave its cells blank if it is wrong.",
+    ),
+    FindingKind(
+        code="trial-against-fit",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="A trial is off what a fit to all other trials predicts.",
+        remedy="Check the trial in the raw data, and leave its cells blank if it is wrong.",
+    ),
+    FindingKind(
+        code="misfit-gross",
+        severity=ERROR,
+        about=About.FIT,
+        meaning="The best fit leaves more than nine times the misfit that noise of the stated size "
+        "would: a mistake in the data, or something that the model lacks.",
+        remedy="Look at signs, units and side of the data, then run identknee diagnose.",
+    ),
+    FindingKind(
+        code="misfit-improbable",
+        severity=WARNING,
+        about=About.FIT,
+        meaning="The best fit leaves more misfit than noise of the stated size would in one of a "
+        "thousand tables.",
+        remedy="Run identknee diagnose; uncertainties that are reported do not allow for it.",
+    ),
+    FindingKind(
+        code="error-large",
+        severity=ERROR,
+        about=About.FIT,
+        meaning="The data state no noise, and the best fit leaves more than the expected error of "
+        "a laxity test (2 mm, 5 deg).",
+        remedy="Look at signs, units and side of the data, then run identknee diagnose.",
+    ),
+    FindingKind(
+        code="noise-unstated",
+        severity=INFO,
+        about=About.FIT,
+        meaning="The data state no noise, so the size of the error left cannot be judged.",
+        remedy="Add sd_ columns, or give --noise.",
+        template="The data state no noise, so whether the residuals are noise alone could not be "
+        "judged. Add sd_ columns to judge it.",
+    ),
+    FindingKind(
+        code="at-bound",
+        severity=WARNING,
+        about=About.FIT,
+        meaning="Fitted parameters stand at a bound: the bound stopped the fit and not the data.",
+        remedy="Widen the bound if values beyond it are possible; else read the other parameters "
+        "as those of a knee whose parameter has the value of the bound.",
+        distinct=("parameters",),
+    ),
+    FindingKind(
+        code="too-few-values",
+        severity=WARNING,
+        about=About.FIT,
+        meaning="Fewer values were measured than parameters are fitted.",
+        remedy="Measure more trials, or fix parameters with --fix.",
+    ),
+    FindingKind(
+        code="nothing-fitted",
+        severity=ERROR,
+        about=About.STARTS,
+        meaning="The search could not begin: there is no prediction at the start.",
+        remedy="Choose another --start or other --bounds, or leave the cells of such trials blank.",
+        invalidates=True,
+    ),
+    FindingKind(
+        code="no-prediction",
+        severity=ERROR,
+        about=About.STARTS,
+        meaning="No parameters near the start have a prediction in every measured trial.",
+        remedy="Choose another --start, leave the cells of such trials blank, or run identknee "
+        "subject check.",
+        invalidates=True,
+    ),
+    FindingKind(
+        code="no-set-converges",
+        severity=ERROR,
+        about=About.STARTS,
+        meaning="No parameter set of a sensitivity analysis has an equilibrium in all trials.",
+        remedy="Run identknee subject check.",
+        template="no parameter set converges in all trials; see: identknee subject check",
+        invalidates=True,
+    ),
+    FindingKind(
+        code="lower-misfit-elsewhere",
+        severity=ERROR,
+        about=About.STARTS,
+        meaning="A second search, from another start, ended at a lower misfit: this fit is not the "
+        "best.",
+        remedy="Run identknee sweep, which tries many starts.",
+    ),
+    FindingKind(
+        code="starts-disagree",
+        severity=WARNING,
+        about=About.STARTS,
+        meaning="Searches from different starts ended at other parameters, or at another misfit.",
+        remedy="Run identknee sweep for the lowest misfit, and identknee profile for what the data "
+        "leave open.",
+        distinct=("parameters",),
+    ),
+    FindingKind(
+        code="lowest-found-once",
+        severity=WARNING,
+        about=About.STARTS,
+        meaning="Only one of several starts ended at the lowest misfit, so a lower one may exist.",
+        remedy="Run identknee sweep.",
+    ),
+    FindingKind(
+        code="start-confirmed",
+        severity=INFO,
+        about=About.STARTS,
+        meaning="A second search ended at the same parameters: the start is not the reason for the "
+        "misfit.",
+    ),
+    FindingKind(
+        code="no-second-search",
+        severity=INFO,
+        about=About.STARTS,
+        meaning="No second search was made: its start has no prediction either.",
+    ),
+    FindingKind(
+        code="trials-lost",
+        severity=WARNING,
+        about=About.TRIALS,
+        meaning="The result does not rest on some measured trials, in which the model has no "
+        "equilibrium.",
+        remedy="Check these trials in the raw data, or state how well geometry is known with "
+        "--uncertain.",
+        distinct=("trials",),
+    ),
+    FindingKind(
+        code="trials-without-equilibrium",
+        severity=INFO,
+        about=About.TRIALS,
+        meaning="Which trials have no equilibrium at the start, and how their search ended.",
+        remedy="Choose another --start, or leave the cells of these trials blank.",
+        distinct=("trials",),
+    ),
+    FindingKind(
+        code="unstable-subject",
+        severity=WARNING,
+        about=About.SUBJECT,
+        meaning="At its own parameters the subject has no equilibrium in some trials of its data.",
+        remedy="Run identknee subject check SUBJECT --protocol DATA.csv",
+    ),
+    FindingKind(
+        code="hardly-stable-subject",
+        severity=WARNING,
+        about=About.SUBJECT,
+        meaning="At its own parameters the subject is stable in all trials by a small margin only.",
+        remedy="Run identknee subject check.",
+    ),
+    FindingKind(
+        code="sets-without-prediction",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="Parameter sets that the data allow have no prediction in some trial: limits near "
+        "the fit are partly those of the model.",
+        remedy="Run identknee subject check.",
+        template="Of {n} parameter sets that would fit about as well as the best one, {n_lost} "
+        "have no prediction in some trial: sets compatible with the data are missing here because "
+        "the model has no equilibrium, not because the data exclude them. " + CHECK,
+    ),
+    FindingKind(
+        code="contact-near-rim",
+        severity=INFO,
+        about=About.MODEL,
+        meaning="Contact acts within 3 mm of where the cartilage surface ends.",
+        remedy="Extend the surface if cartilage goes on beyond its rim.",
+    ),
+    FindingKind(
+        code="implausible-force",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="A ligament carries more than twice the mean load at which such ligaments fail.",
+        remedy="Do not use forces of this fit; run identknee diagnose.",
+        lead=IMPLAUSIBLE,
+        template="{ligament} carries {force_N:.0f} N under {load}, and such a ligament fails at "
+        "{failure_N:.0f} N on average ({source})",
+    ),
+    FindingKind(
+        code="implausible-strain",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="A ligament is strained beyond what ligament tissue bears.",
+        remedy="Do not use strains of this fit; run identknee diagnose.",
+        lead=IMPLAUSIBLE,
+        template="{ligament} is strained by {strain_pct:.0f} % under {load}, and ligaments fail at "
+        "about {failure_pct:.0f} % ({source})",
+    ),
+    FindingKind(
+        code="one-sided-contact",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="Without varus moment nearly all contact force acts in one compartment.",
+        remedy="Do not use contact forces of this fit; check frames and registration.",
+        lead=IMPLAUSIBLE,
+        template="in trials without varus moment contact carries {medial_N:.0f} N medially and "
+        "{lateral_N:.0f} N laterally under {compression_N:.0f} N of compression, in the middle of "
+        "{n_trials} trials, which is contact on one side only ({source})",
+    ),
+    FindingKind(
+        code="nuisance-beyond-prior",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="The fit moves a stated error (an insertion, a registration, a load) beyond its "
+        "stated uncertainty.",
+        remedy="State a larger uncertainty if it was too small; else run identknee diagnose for "
+        "another cause.",
+    ),
+    FindingKind(
+        code="fit-unfinished",
+        severity=WARNING,
+        about=About.CAUSES,
+        meaning="A fit of the diagnosis stopped before its minimum, and a linear model promises a "
+        "lower misfit.",
+        remedy="Begin it elsewhere with --start.",
+    ),
+    FindingKind(
+        code="cause-not-compared",
+        severity=WARNING,
+        about=About.CAUSES,
+        meaning="A cause could not be compared with the others to the end, and why.",
+        remedy="Read the verdict as one without this cause.",
+    ),
+    FindingKind(
+        code="no-trial-advised",
+        severity=INFO,
+        about=About.CAUSES,
+        meaning="No further trial can be advised that would tell the remaining causes apart.",
+        remedy="Repeat the trials in which most misfit is left, or measure stated errors better.",
+    ),
+    _geometry("in-metres", ERROR, "A length is so small that it can only be in metres.", MULTIPLY),
+    _geometry(
+        "stiffness-impossible", ERROR, "No ligament has a stiffness near the stated one.", DIVIDE
+    ),
+    _geometry(
+        "strain-impossible",
+        ERROR,
+        "No ligament has a reference strain near the stated one.",
+        "Give the strain in the scanned pose in %, a few at most.",
+    ),
+    _geometry(
+        "epicondyles-exchanged",
+        ERROR,
+        "The epicondyles are exchanged, so that the femur faces backwards.",
+        "Exchange medial_epicondyle and lateral_epicondyle.",
+    ),
+    _geometry(
+        "wrong-side",
+        ERROR,
+        "Plateaus or condyles lie as in a knee of the other side.",
+        "State the other side if it is one; else exchange the files or landmarks, or correct axes.",
+    ),
+    _geometry(
+        "normals-inward",
+        ERROR,
+        "The normals of a surface point into the bone where it faces the joint.",
+        "Flip the normals of the surface (reverse its triangles), or correct the superior axis of "
+        "the tibial frame.",
+    ),
+    _geometry(
+        "trials-not-converging",
+        ERROR,
+        "At the subject's own parameters some trials of the protocol have no stable pose.",
+        "Move the insertions that are named, run identknee subject settle, or correct the ligament "
+        "parameters.",
+    ),
+    _geometry(
+        "margin-low",
+        WARNING,
+        "All trials converge, some by a margin so small that a small change may lose them.",
+        "Check the ligaments that hold this motion.",
+    ),
+    _geometry(
+        "box-loses-trials",
+        WARNING,
+        "More than 1 % of the trials do not converge in a box around the subject's parameters.",
+        "Expect cliffs when calibrating: start near, keep to narrower bounds, or move the "
+        "insertions.",
+    ),
+    _geometry(
+        "contact-points-coarse",
+        WARNING,
+        "The pose depends on whether the default contact points or all vertices are used, or the "
+        "two cannot be compared.",
+        "Smooth the cartilage surfaces, or use LaxityModel(n_points=None).",
+    ),
+    _geometry(
+        "surface-closed",
+        WARNING,
+        "A surface is closed: it has a bone side as well.",
+        "Keep the articular side only: force must keep growing with penetration.",
+    ),
+    _geometry(
+        "winding-inconsistent",
+        WARNING,
+        "Neighbouring triangles of a surface face opposite ways.",
+        "Make the winding consistent and all normals point outward.",
+    ),
+    _geometry(
+        "edges-shared",
+        WARNING,
+        "Edges of a surface belong to more than two triangles.",
+        "Remove inner or doubled sheets.",
+    ),
+    _geometry(
+        "vertices-near-duplicate",
+        WARNING,
+        "Vertices of a surface nearly coincide.",
+        "Merge vertices within a small tolerance.",
+    ),
+    _geometry(
+        "triangles-degenerate",
+        WARNING,
+        "Triangles of a surface have hardly any area.",
+        "Collapse them or remesh the surface.",
+    ),
+    _geometry(
+        "surfaces-apart",
+        WARNING,
+        "In the scanned pose a tibial surface does not reach the femur.",
+        "Use cartilage surfaces, not bone, and check that both bones are in one frame.",
+    ),
+    _geometry(
+        "surfaces-overlap",
+        WARNING,
+        "In the scanned pose a tibial surface reaches deep into the femur.",
+        "Check that both bones are in one frame and the pose is the scanned one.",
+    ),
+    _geometry(
+        "ligament-length-odd",
+        WARNING,
+        "A ligament is shorter than 5 mm or longer than 200 mm in the scanned pose.",
+        "Check its insertions: both are points of the common frame in mm.",
+    ),
+    _geometry("stiffness-odd", WARNING, "A ligament's stiffness is unusually high.", DIVIDE),
+    _geometry(
+        "stiffness-zero",
+        WARNING,
+        "A ligament's stiffness is zero, so that it carries nothing.",
+        "Give it a stiffness or remove it.",
+    ),
+    _geometry(
+        "strains-as-fractions",
+        WARNING,
+        "All reference strains are so small that they may be fractions.",
+        "If these are fractions, multiply by 100.",
+    ),
+    _geometry(
+        "femur-size-odd",
+        WARNING,
+        "The femoral surface is not of the size of an articular surface.",
+        "Check the units (cm, inch) and that it is the articular surface.",
+    ),
+    _geometry(
+        "scanned-angle-odd",
+        WARNING,
+        "In the scanned pose the knee has an angle that no scanned knee has.",
+        "Check that both frames have rows anterior, superior and to the subject's right.",
+    ),
+    _geometry(
+        "origin-far",
+        WARNING,
+        "The origin of a frame is far away from the joint surface.",
+        "Put the origin in the joint: forces act there and translations are those of it.",
+    ),
+    _geometry(
+        "axis-off-landmarks",
+        WARNING,
+        "An axis of a frame is not the one that the landmarks define.",
+        "The frame is used; correct it or the landmarks.",
+    ),
+    _geometry(
+        "all-converge", INFO, "All trials converge at the subject's own parameters, with margin."
+    ),
+    _geometry("box-converges", INFO, "Nearly all trials converge in a box around the parameters."),
+    _geometry(
+        "contact-points-enough", INFO, "The default contact points give the pose of all vertices."
+    ),
+    _geometry(
+        "surface-contact", INFO, "How far a tibial surface is from the femur in the scanned pose."
+    ),
+)
+KINDS = {x.code: x for x in _ALL}
+RANKS = {code: place for place, code in enumerate(KINDS)}
+# Of a result that an earlier version stored.
+UNCODED = FindingKind(code="", severity=WARNING, about=About.EARLIER, meaning="Its words alone.")
+
 
 __all__ = [
     "Finding",

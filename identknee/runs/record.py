@@ -1,10 +1,11 @@
-"""What a result remembers of the run that made it."""
+"""What a result remembers of its run: how it ended, and the call that made it."""
 
 import platform
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from enum import Enum, unique
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -36,7 +37,7 @@ class Record:
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
         # It loads what schemas need, which the start of a command should not wait for.
-        from identknee.runs.plain_records import to_plain
+        from identknee.runs.schema import to_plain
 
         return {name: x for name, x in plain(to_plain(self)).items() if name != "arrays"}
 
@@ -102,3 +103,44 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+@unique
+class Outcome(Enum):
+    """How an equilibrium, a trial or a fit ended.
+
+    The value is the word written to files; `sentence` says it to a person.
+    """
+
+    # Equilibria and trials.
+    CONVERGED = "converged"
+    FOLD = "fold"
+    NO_EQUILIBRIUM = "no_equilibrium"
+    UNCONSTRAINED = "unconstrained"
+    # Fits.
+    MINIMUM = "minimum"
+    VALLEY = "valley"
+    CLIFF = "cliff"
+    BUDGET = "budget"
+    SPREAD = "spread"
+    START_FAILED = "start_failed"
+
+    @property
+    def sentence(self) -> str:
+        """What happened, as a full sentence."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Outcome.CONVERGED: "A stable equilibrium was found on the branch that starts unloaded.",
+    Outcome.FOLD: "No stable pose at full load: the simulated knee jumps before reaching it.",
+    Outcome.NO_EQUILIBRIUM: "No equilibrium was found near the pose where the search began.",
+    Outcome.UNCONSTRAINED: "One direction of motion has no stiffness: the pose is not unique. Is "
+    "a ligament missing or slack?",
+    Outcome.MINIMUM: "Exact derivatives confirm a local minimum.",
+    Outcome.VALLEY: "The optimizer stopped in a valley before a minimum was reached.",
+    Outcome.CLIFF: "The search stopped at a cliff, beyond which the simulated knee jumps.",
+    Outcome.BUDGET: "The budget of simulations was exhausted.",
+    Outcome.SPREAD: "The spread of the population fell below the tolerance.",
+    Outcome.START_FAILED: "The model has no prediction at the start.",
+}

@@ -1,6 +1,6 @@
 from .check import GeometryFinding as GeometryFinding
-from .frames import Frame as Frame
-from .ligament import Ligament as Ligament
+from .knee import Frame as Frame
+from .knee import Ligament as Ligament
 from .opensim_export import write_opensim as write_opensim
 from .surface import Surface as Surface
 from .surface import joined as joined

@@ -11,9 +11,7 @@ import numpy as np
 
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.surface import Surface
 
 CompartmentSide = Literal["medial", "lateral"]

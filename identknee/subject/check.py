@@ -13,15 +13,15 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, by_severity, finding
 from identknee.subject import check as sheets
-from identknee.subject.frames import (
+from identknee.subject.knee import (
     Frame,
+    Knee,
+    Ligament,
     angle_between,
     ankle_centre,
     frames_from_landmarks,
     joint_centre,
 )
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
 # Lengths in mm below which a knee's dimensions can only be metres.

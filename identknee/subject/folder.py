@@ -28,14 +28,21 @@ from identknee.runs.schema import (
 )
 from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.examples import known_names, named_subject
-from identknee.subject.frames import Frame, frames_from_landmarks
-from identknee.subject.knee import Knee, KnownPose, Landmark
-from identknee.subject.ligament import Ligament, LigamentGroup
+from identknee.subject.knee import (
+    EffectChoice,
+    Frame,
+    Knee,
+    KnownPose,
+    Landmark,
+    Ligament,
+    LigamentGroup,
+    StatedPrior,
+    Uncertainty,
+    frames_from_landmarks,
+)
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import read_surface, write_surface
-from identknee.subject.uncertainty import StatedPrior, Uncertainty
 
 FORMAT = 1
 

@@ -1,18 +1,718 @@
-"""The knee: surfaces, ligaments and frames of one subject."""
+"""The knee: surfaces, frames, ligaments, stored effects of one subject, and how well it is known."""
 
+import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen, short_repr
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
 from identknee.runs.declare import declared, entry
-from identknee.subject.effect_choice import EffectChoice
-from identknee.subject.frames import Frame
-from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
+from identknee.runs.errors import suggestion
 from identknee.subject.surface import Surface
-from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty
+
+BONES = ("femur", "tibia")
+# A standard deviation in mm of every axis, or a covariance in mm^2 along the axes of the bone.
+Spread = float | tuple[tuple[float, float, float], ...]
+Spreads = Mapping[str, Mapping[str, Spread]]
+UncertainLike = str | Sequence[str] | Mapping[str, float] | None
+# More than this is not an error of a measurement any more; settings stay where their laws hold.
+LARGEST = {"mm": 25.0, "deg": 20.0, "": 1.0}
+EXACT = "none"
+_SIZE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg|%|)\s*")
+
+
+def _stated(meaning: str) -> float:
+    """A standard deviation that may be stated: 0 stands for exact."""
+    return field(default=0.0, metadata={"meaning": meaning})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """Standard deviations of what is given with a knee and its tests; 0 stands for exact.
+
+    Every error is normal with mean zero. The names end in the unit; numbers without one are
+    relative, or of a logarithm.
+
+    Attributes
+    ----------
+    insertions_mm
+        Insertions of the ligaments along each axis of their bone: one number for all, or by
+        ligament and bone a number or a covariance [mm^2], shape ``(3, 3)``.
+    registration_deg, registration_mm
+        Rotation about, and translation along, each axis of each bone's measured frame against the
+        frame of its geometry.
+    load_axes_deg
+        Rotation of the axes along which loads act about each of their own axes.
+    load_gain
+        Scale of each kind of load, relative.
+    flexion_deg
+        Offset of flexion, one for all trials.
+    trial_flexion_deg
+        Error of flexion of each trial by itself.
+    contact_modulus, contact_exponent
+        Logarithms of the modulus of the cartilage and of the exponent by which its pressure grows
+        with depth.
+    surface_mm
+        Smooth offset of the cartilage sheets.
+    zero_mm, zero_deg
+        Offset of each coordinate common to all trials of a flexion angle: the knee was mounted
+        again.
+    reference_pose_deg, reference_pose_mm
+        Rotation and translation of the tibia in the pose in which reference lengths were measured.
+    toe_region
+        Logarithm of the strain at which the ligaments' toe region ends.
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation is negative, not finite or larger than any such error.
+    """
+
+    insertions_mm: float | Spreads = field(default=0.0, metadata={"meaning": "insertions"})
+    registration_deg: float = _stated("turn of the measured frames")
+    registration_mm: float = _stated("shift of the measured frames")
+    load_axes_deg: float = _stated("load axes")
+    load_gain: float = _stated("load gain")
+    flexion_deg: float = _stated("flexion")
+    trial_flexion_deg: float = _stated("flexion of single trials")
+    contact_modulus: float = _stated("contact modulus")
+    contact_exponent: float = _stated("contact exponent")
+    surface_mm: float = _stated("cartilage surfaces")
+    zero_mm: float = _stated("zero of lengths")
+    zero_deg: float = _stated("zero of angles")
+    reference_pose_deg: float = _stated("turn of the scanned pose")
+    reference_pose_mm: float = _stated("shift of the scanned pose")
+    toe_region: float = _stated("toe region")
+
+    def __post_init__(self) -> None:
+        for name, value in self._values():
+            if isinstance(value, Mapping):
+                object.__setattr__(self, name, _checked_spreads(value))
+            else:
+                object.__setattr__(self, name, _checked(name, value))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether no uncertainty is stated."""
+        return not any(isinstance(x, Mapping) or x > 0.0 for _, x in self._values())
+
+    @property
+    def words(self) -> dict[str, str]:
+        """What each part was taken for, such as ``2 mm`` or ``exact``, by the name of the part."""
+        return {name: _word(name, value) for name, value in self._values()}
+
+    @property
+    def sentence(self) -> str:
+        """What is treated as uncertain and what as exact."""
+        meanings = {x.name: str(x.metadata["meaning"]) for x in fields(self)}
+        if self.is_exact:
+            return (
+                "Geometry, frames, loads and flexion were treated as exact; state their "
+                "uncertainty with --uncertain, for example --uncertain insertions=2mm."
+            )
+        told = [f"{meanings[name]} ({x})" for name, x in self.words.items() if x != "exact"]
+        rest = [meanings[name] for name, x in self.words.items() if x == "exact"]
+        exact = f" As exact: {', '.join(rest)}." if rest else ""
+        return f"Taken as uncertain: {', '.join(told)}.{exact}"
+
+    def insertion_covariance(self, ligament: str, bone: str) -> Array:
+        """Covariance of an insertion along the axes of its bone [mm^2], shape ``(3, 3)``."""
+        spread: Spread | float = 0.0
+        if isinstance(self.insertions_mm, Mapping):
+            spread = self.insertions_mm.get(ligament, {}).get(bone, 0.0)
+        else:
+            spread = self.insertions_mm
+        if isinstance(spread, tuple):
+            return np.array(spread)
+        return float(spread) ** 2 * np.eye(3)
+
+    def check_ligaments(self, names: Sequence[str]) -> None:
+        """Refuse insertions of a ligament that the knee does not have.
+
+        Raises
+        ------
+        ValueError
+            Naming the first.
+        """
+        stated = self.insertions_mm if isinstance(self.insertions_mm, Mapping) else {}
+        for name in stated:
+            if name not in names:
+                raise ValueError(
+                    f"the uncertainty of insertions names the ligament {name!r}, which the knee "
+                    f"does not have. {suggestion(name, names)}"
+                )
+
+    def _values(self) -> list[tuple[str, float | Spreads]]:
+        return [(x.name, getattr(self, x.name)) for x in fields(self)]
+
+
+def with_stated_uncertainty(own: Uncertainty, stated: UncertainLike) -> Uncertainty:
+    """The uncertainty of a subject with other parts stated in place of its own.
+
+    Parameters
+    ----------
+    own
+        What the subject states.
+    stated
+        Texts such as ``"insertions=2mm,registration=2deg"``, or numbers by name such as
+        ``{"insertions_mm": 2.0}``; ``"none"`` for a knee known exactly. None changes nothing.
+
+    Raises
+    ------
+    ValueError
+        If a name or a unit is not known, or a size is out of range.
+
+    Examples
+    --------
+    >>> with_stated_uncertainty(Uncertainty(), "insertions=2mm,load_gain=3%").words["load_gain"]
+    '3 %'
+    """
+    if stated is None:
+        return own
+    if isinstance(stated, Mapping):
+        known = [x.name for x in fields(Uncertainty)]
+        for name in stated:
+            if name not in known:
+                raise ValueError(f"uncertain {name}: there is no such part. {_known(name)}")
+        return replace(own, **stated)
+    texts = [stated] if isinstance(stated, str) else list(stated)
+    parts = [x.strip() for text in texts for x in text.split(",") if x.strip()]
+    if isinstance(stated, str) and not parts:
+        raise ValueError("--uncertain is empty; write for example --uncertain insertions=2mm")
+    for part in parts:
+        own = EXACTLY if part == EXACT else replace(own, **_one(part))
+    return own
+
+
+def _one(text: str) -> dict[str, float]:
+    name, equals, size = (x.strip() for x in text.partition("="))
+    found = _SIZE.fullmatch(size)
+    try:
+        number = math.nan if found is None else float(found[1])
+    except ValueError:
+        number = math.nan
+    if not equals or found is None or math.isnan(number):
+        raise ValueError(
+            f"--uncertain {text}: this is not NAME=SIZE; write for example "
+            "--uncertain insertions=2mm,registration=2deg"
+        )
+    unit = found[2]
+    names = [f"{name}_{unit}"] if unit in ("mm", "deg") else [name]
+    known = [x.name for x in fields(Uncertainty)]
+    if names[0] not in known:
+        raise ValueError(f"--uncertain {text}: {_refusal(name, found[1])}")
+    return {names[0]: number / 100.0 if unit == "%" else number}
+
+
+def _refusal(name: str, number: str) -> str:
+    """Why a name with that unit is not known."""
+    units = [
+        known.removeprefix(f"{name}_")
+        for known in (x.name for x in fields(Uncertainty))
+        if known.startswith(f"{name}_") and known.removeprefix(f"{name}_") in ("mm", "deg")
+    ]
+    if units:
+        written = " or ".join(f"{name}={number}{unit}" for unit in units)
+        return f"{name} is stated in {' or '.join(units)}; write {written}"
+    if name in (x.name for x in fields(Uncertainty)):
+        return f"{name} has no unit; write {name}=0.1 or {name}=10%"
+    return f"there is no such part. {_known(name)}"
+
+
+def _known(name: str) -> str:
+    parts = dict.fromkeys(re.sub("_(mm|deg)$", "", x.name) for x in fields(Uncertainty))
+    return suggestion(name, list(parts))
+
+
+def _unit(name: str) -> str:
+    return next((x for x in ("mm", "deg") if name.endswith(f"_{x}")), "")
+
+
+def _checked(name: str, value: object) -> float:
+    most = LARGEST[_unit(name)]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
+        unit = f" {_unit(name)}" if _unit(name) else ""
+        raise ValueError(
+            f"the uncertainty {name} must be a standard deviation of 0 to {most:g}{unit}, got "
+            f"{value!r}"
+        )
+    return float(value)
+
+
+def _checked_spreads(value: Spreads) -> dict[str, dict[str, Spread]]:
+    """Spreads by ligament and bone as plain numbers."""
+    checked: dict[str, dict[str, Spread]] = {}
+    for ligament, bones in value.items():
+        if not set(bones) <= set(BONES):
+            raise ValueError(
+                f"the uncertainty of the insertions of {ligament} must be given by bone; write for "
+                "example { femur = 2.0, tibia = 3.0 }"
+            )
+        checked[ligament] = {
+            bone: _checked_spread(f"insertions_mm of {ligament} on the {bone}", x)
+            for bone, x in bones.items()
+        }
+    return checked
+
+
+def _checked_spread(where: str, value: object) -> Spread:
+    if isinstance(value, int | float):
+        return _checked(f"{where}_mm", value)
+    matrix = np.array(value, float)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ValueError(f"{where} must be one number or a covariance of 3 by 3 numbers in mm^2")
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < 0.0:
+        raise ValueError(f"{where}: the covariance must be symmetric with no negative eigenvalue")
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def _word(name: str, value: float | Spreads) -> str:
+    if isinstance(value, Mapping):
+        stated = sum(len(bones) for bones in value.values())
+        return f"{stated} stated by ligament and bone, the others exact"
+    if value == 0.0:
+        return "exact"
+    unit = _unit(name)
+    return f"{100.0 * value:g} %" if name == "load_gain" else f"{value:g} {unit}".strip()
+
+
+EXACTLY = Uncertainty()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedPrior:
+    """A stated prior of a parameter.
+
+    Attributes
+    ----------
+    sd
+        Standard deviation in the parameter's unit, of a normal prior; None for a lognormal one.
+    log_sd
+        Standard deviation of the natural logarithm, of a lognormal prior; None for a normal one.
+    center
+        Middle of the prior in the parameter's unit; the subject's own value where None.
+
+    Raises
+    ------
+    ValueError
+        If not exactly one of both is given, or it is not greater than 0.
+    """
+
+    sd: float | None = None
+    log_sd: float | None = None
+    center: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.sd is None) == (self.log_sd is None):
+            raise ValueError("a prior has either sd or log_sd; give one of the two")
+        if not 0.0 < self.spread < float("inf"):
+            raise ValueError(f"the spread of a prior must be greater than 0, got {self.spread:g}")
+        if self.is_log and self.center is not None and not self.center > 0.0:
+            raise ValueError(
+                f"the centre of a lognormal prior must be greater than 0, got {self.center:g}"
+            )
+
+    @property
+    def is_log(self) -> bool:
+        """Whether it is lognormal."""
+        return self.log_sd is not None
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation that was given."""
+        return float((self.sd if self.log_sd is None else self.log_sd) or 0.0)
+
+
+# Axes written with three decimals are off by less; a sheared or scaled frame by more.
+ROUNDING = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """A right-handed frame of a bone in the common frame of the scanned pose.
+
+    Attributes
+    ----------
+    origin
+        Position [mm], shape ``(3,)``.
+    axes
+        Unit vectors as rows: anterior, superior, lateral; shape ``(3, 3)``. Rows rounded in a file
+        are squared up to the nearest rotation.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or the axes are not orthonormal or not right-handed.
+    """
+
+    origin: Array
+    axes: Array
+
+    def __post_init__(self) -> None:
+        origin = frozen(self.origin, 3, name="the origin of a frame")
+        axes = frozen(self.axes, 3, 3, name="the axes of a frame")
+        if not (np.isfinite(origin).all() and np.isfinite(axes).all()):
+            raise ValueError("the origin and axes of a frame must be finite numbers")
+        if far := implausible_coordinates(origin):
+            raise ValueError(f"the origin of a frame lies {far}; {CHECK_UNITS}")
+        # Products of larger numbers may overflow.
+        error = (
+            np.inf if np.abs(axes).max() > 2.0 else float(np.abs(axes @ axes.T - np.eye(3)).max())
+        )
+        if error > ROUNDING:
+            raise ValueError(
+                "the axes of a frame must be unit vectors at right angles, one a row, but their "
+                f"products are off by {error:.2g}; normalise them"
+            )
+        if np.linalg.det(axes) < 0.0:
+            raise ValueError(
+                "the axes of a frame must be right-handed: x anterior, y superior, z to the right; "
+                "turn one of them round"
+            )
+        if error > 1e-12:
+            left, _, right = np.linalg.svd(axes)
+            axes = frozen(left @ right, 3, 3, name="the axes of a frame")
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "axes", axes)
+
+    def to_local(self, points: ArrayLike) -> Array:
+        """Points ``(..., 3)`` of the common frame in this frame [mm]."""
+        local: Array = (np.asarray(points, float) - self.origin) @ self.axes.T
+        return local
+
+    def to_common(self, points: ArrayLike) -> Array:
+        """Points ``(..., 3)`` of this frame in the common frame [mm]."""
+        common: Array = np.asarray(points, float) @ self.axes + self.origin
+        return common
+
+    def mirrored(self) -> "Frame":
+        """The frame seen in the mirror z = 0, its third axis turned round to be lateral again."""
+        mirror = np.array([1.0, 1.0, -1.0])
+        return Frame(origin=self.origin * mirror, axes=mirror[:, None] * self.axes * mirror)
+
+
+def joint_centre(landmarks: Mapping[str, Array]) -> Array | None:
+    """Midpoint of the epicondyles [mm], shape ``(3,)``; None where they are not given."""
+    return _midpoint(landmarks, "medial_epicondyle", "lateral_epicondyle")
+
+
+def ankle_centre(landmarks: Mapping[str, Array]) -> Array | None:
+    """The ankle centre, or the midpoint of the malleoli [mm], ``(3,)``; None without either."""
+    if "ankle_centre" in landmarks:
+        return landmarks["ankle_centre"]
+    return _midpoint(landmarks, "medial_malleolus", "lateral_malleolus")
+
+
+def frames_from_landmarks(
+    landmarks: Mapping[str, Array], *, is_left: bool = False
+) -> tuple[Frame, Frame]:
+    """The frames of femur and tibia that landmarks define.
+
+    Both origins are the midpoint of the epicondyles. The femur's y axis points from there to the
+    hip centre, the tibia's from the ankle centre to there; both z axes lie in the plane that y
+    spans with the line through the epicondyles and point to the subject's right.
+
+    Parameters
+    ----------
+    landmarks
+        Positions in the common frame [mm], shape ``(3,)``, by their names in a subject's file; the
+        ankle is given by its centre or by both malleoli.
+    is_left
+        Whether this is a left knee, whose lateral side is on the left.
+
+    Raises
+    ------
+    ValueError
+        If a landmark is missing or two of them nearly coincide.
+    """
+    centre, ankle = joint_centre(landmarks), ankle_centre(landmarks)
+    hip = landmarks.get("hip_centre")
+    if centre is None or ankle is None or hip is None:
+        raise ValueError(
+            f"the landmarks given ({', '.join(landmarks) or 'none'}) define no frames; give "
+            "hip_centre, medial_epicondyle, lateral_epicondyle and either ankle_centre or both "
+            "malleoli, or the frames themselves"
+        )
+    across = landmarks["lateral_epicondyle"] - landmarks["medial_epicondyle"]
+    right = -across if is_left else across
+    return _frame(centre, hip - centre, right), _frame(centre, centre - ankle, right)
+
+
+def angle_between(one: Array, other: Array) -> float:
+    """Angle between two vectors [deg].
+
+    Examples
+    --------
+    >>> round(angle_between(np.array([1.0, 0.0, 0.0]), np.array([0.0, 2.0, 0.0])), 6)
+    90.0
+    """
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+
+
+def _midpoint(landmarks: Mapping[str, Array], one: str, other: str) -> Array | None:
+    if one in landmarks and other in landmarks:
+        middle: Array = (landmarks[one] + landmarks[other]) / 2.0
+        return middle
+    return None
+
+
+def _frame(origin: Array, up: Array, right: Array) -> Frame:
+    length = np.linalg.norm(up)
+    if length == 0.0 or np.linalg.norm(np.cross(up, right)) <= 0.1 * length * np.linalg.norm(right):
+        raise ValueError(
+            "the landmarks define no frame: the epicondyles coincide or lie on the long axis of "
+            "the bone; check their coordinates"
+        )
+    superior = up / length
+    lateral = right - (right @ superior) * superior
+    lateral = lateral / np.linalg.norm(lateral)
+    return Frame(origin=origin, axes=np.array([np.cross(superior, lateral), superior, lateral]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ligament:
+    """A line ligament.
+
+    Attributes
+    ----------
+    name
+        What the user calls it; parameters are named ``NAME.stiffness_kN``.
+    femur, tibia
+        Its insertions in the common frame of the scanned pose [mm], shape ``(3,)``.
+    stiffness_kN
+        Force per unit strain of its linear region [kN], >= 0.
+    reference_strain_pct
+        Strain in the scanned pose [%], > -100; negative for a slack ligament.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range, not finite, or both insertions coincide.
+    """
+
+    name: str
+    femur: Array
+    tibia: Array
+    stiffness_kN: float  # noqa: N815 - the key in files
+    reference_strain_pct: float
+
+    def __post_init__(self) -> None:
+        if not self.name or self.name != self.name.strip() or set(self.name) & set(".,=\"'\n\r\t"):
+            raise ValueError(
+                f"a ligament needs a name without . , = or quotes, got {self.name!r}; rename it"
+            )
+        for bone in ("femur", "tibia"):
+            place = frozen(getattr(self, bone), 3, name=f"the {bone} insertion of {self.name}")
+            if not np.isfinite(place).all():
+                raise ValueError(
+                    f"the {bone} insertion of {self.name} must be finite numbers in mm, "
+                    f"got {place.tolist()}"
+                )
+            if far := implausible_coordinates(place):
+                raise ValueError(f"the {bone} insertion of {self.name} lies {far}; {CHECK_UNITS}")
+            object.__setattr__(self, bone, place)
+        if self.length == 0.0:
+            raise ValueError(
+                f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm; "
+                "give two different points"
+            )
+        if not 0.0 <= self.stiffness_kN < np.inf:
+            raise ValueError(
+                f"the stiffness of {self.name} must be finite and >= 0 kN, "
+                f"got {self.stiffness_kN:g}"
+            )
+        if not -100.0 < self.reference_strain_pct < np.inf:
+            raise ValueError(
+                f"the reference strain of {self.name} must be finite and > -100 %, "
+                f"got {self.reference_strain_pct:g}"
+            )
+
+    @property
+    def length(self) -> float:
+        """Distance of its insertions in the scanned pose [mm]."""
+        return float(np.linalg.norm(self.tibia - self.femur))
+
+    def mirrored(self) -> "Ligament":
+        """A copy seen in the mirror z = 0."""
+        return Ligament(
+            name=self.name,
+            femur=self.femur * [1.0, 1.0, -1.0],
+            tibia=self.tibia * [1.0, 1.0, -1.0],
+            stiffness_kN=self.stiffness_kN,
+            reference_strain_pct=self.reference_strain_pct,
+        )
+
+
+LEAST = 2
+# A name, a number, perhaps a side.
+_NUMBERED = re.compile(r"(.*[^\W\d_])[-_ ]?\d+(?:[-_ ][rl])?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LigamentGroup:
+    """Bundles with one stiffness scale and one shift of their strains; their pattern is kept.
+
+    Attributes
+    ----------
+    name
+        What the ligament is called; its parameters are named ``NAME.stiffness_kN``, the sum of its
+        members', and ``NAME.reference_strain_pct``, their mean weighted by stiffness.
+    members
+        Names of the bundles.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two members, or one is named twice.
+    """
+
+    name: str
+    members: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+        if len(self.members) < LEAST or len(set(self.members)) < len(self.members):
+            raise ValueError(
+                f"the group {self.name} must name two or more ligaments, each once; got "
+                f"{', '.join(self.members) or 'none'}"
+            )
+
+
+def groups_by_name(ligaments: Sequence[Ligament]) -> tuple[LigamentGroup, ...]:
+    """Groups of the ligaments that are called alike but for a number at the end, such as ``ACL2``.
+
+    Examples
+    --------
+    >>> places = {"femur": [0, 9, 0], "tibia": [0, 0, 0]}
+    >>> numbers = {"stiffness_kN": 1.0, "reference_strain_pct": 0.0}
+    >>> names = ["ACL1", "ACL2", "LCL1_r", "LCL2_r", "PFL"]
+    >>> made = groups_by_name([Ligament(name=x, **places, **numbers) for x in names])
+    >>> [(x.name, x.members) for x in made]
+    [('ACL', ('ACL1', 'ACL2')), ('LCL', ('LCL1_r', 'LCL2_r'))]
+    """
+    taken = {x.name for x in ligaments}
+    members: dict[str, list[str]] = {}
+    for ligament in ligaments:
+        numbered = _NUMBERED.fullmatch(ligament.name)
+        if numbered and numbered[1] not in taken and ligament.stiffness_kN > 0.0:
+            members.setdefault(numbered[1], []).append(ligament.name)
+    return tuple(
+        LigamentGroup(name=name, members=tuple(own))
+        for name, own in members.items()
+        if len(own) >= LEAST
+    )
+
+
+def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament]) -> None:
+    """Refuse groups that the ligaments do not allow.
+
+    Raises
+    ------
+    ValueError
+        If a member is no ligament or in two groups, no member of a group has a stiffness, or a
+        group is called as a ligament or another group is.
+    """
+    stiffness = {x.name: x.stiffness_kN for x in ligaments}
+    seen: set[str] = set()
+    taken = set(stiffness)
+    for group in groups:
+        if group.name in taken:
+            raise ValueError(
+                f"the group {group.name} is called as a ligament or another group is; rename it"
+            )
+        taken.add(group.name)
+        for member in group.members:
+            if member not in stiffness:
+                raise ValueError(
+                    f"the group {group.name} names the ligament {member!r}, which the knee does "
+                    f"not have. {suggestion(member, list(stiffness))}"
+                )
+            if member in seen:
+                raise ValueError(f"the ligament {member} is in two groups; leave it in one of them")
+            seen.add(member)
+        if not sum(stiffness[x] for x in group.members) > 0.0:
+            raise ValueError(
+                f"no ligament of the group {group.name} has a stiffness above 0; give one to its "
+                "members, whose shares are kept"
+            )
+
+
+Points = tuple[Array, Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EffectChoice:
+    """An effect by name, with the amplitudes found for the subject.
+
+    Attributes
+    ----------
+    name
+        Name of the effect.
+    values
+        Amplitudes of a right knee, whose z is lateral, by name and in the unit it ends in; those
+        left out have the middle of their prior.
+    fixed
+        Names of amplitudes that are not calibrated.
+    lines
+        Femoral and tibial point [mm], ``(3,)`` each, of every line of a structure, in the common
+        frame of the scanned pose; empty where anatomy places the effect or it has no place.
+    stiffness_sd_kN
+        Prior standard deviation of a structure's stiffness; its own usual one where None.
+    site_sd_mm
+        Prior standard deviation of shifts of a structure's points, 0 where they are not shifted;
+        the usual one where None.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, a line has no length, a standard deviation is out of range, or an
+        amplitude is fixed without a value.
+    """
+
+    name: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    fixed: tuple[str, ...] = ()
+    lines: tuple[Points, ...] = ()
+    stiffness_sd_kN: float | None = None  # noqa: N815 - the key in files
+    site_sd_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        values = {name: float(value) for name, value in self.values.items()}
+        for name, value in values.items():
+            if not np.isfinite(value):
+                raise ValueError(f"{self.name}.{name} must be finite, got {value:g}")
+        for name in self.fixed:
+            if name not in values:
+                raise ValueError(f"{self.name}.{name} is fixed but has no value; give it one")
+        if self.stiffness_sd_kN is not None and not 0.0 < self.stiffness_sd_kN < np.inf:
+            raise ValueError(f"stiffness_sd_kN of {self.name} must be greater than 0")
+        if self.site_sd_mm is not None and not 0.0 <= self.site_sd_mm < np.inf:
+            raise ValueError(f"site_sd_mm of {self.name} must be 0 or greater")
+        # A copy rather than a view that cannot be changed: that could not go to other processes.
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "fixed", tuple(self.fixed))
+        object.__setattr__(self, "lines", tuple(self._checked(line) for line in self.lines))
+
+    def mirrored(self) -> "EffectChoice":
+        """A copy seen in the mirror z = 0; amplitudes are those of a right knee on either side."""
+        mirror = np.array([1.0, 1.0, -1.0])
+        return replace(self, lines=tuple((x * mirror, y * mirror) for x, y in self.lines))
+
+    def _checked(self, line: Points) -> Points:
+        # A line of a structure obeys the rules of a ligament's.
+        like = Ligament(
+            name=f"a line of {self.name}",
+            femur=line[0],
+            tibia=line[1],
+            stiffness_kN=0.0,
+            reference_strain_pct=0.0,
+        )
+        return like.femur, like.tibia
+
 
 # Coordinates of a laxity table: lateral shift, anterior drawer, distraction, varus, internal.
 N_COORDINATES = 5
@@ -117,7 +817,7 @@ class Knee:
         Parameters by name at which the knee was fitted: a search starts there.
     contact_rounding_mm
         Rounding of the contact law with which it was fitted, 0 to 0.15: where geometry is
-        uncertain, contact begins gradually. See `identknee.mechanics.contact_law.ContactLaw`.
+        uncertain, contact begins gradually. See `identknee.mechanics.distance_field.ContactLaw`.
     femur_distance
         Signed distance [mm] of points ``(n, 3)`` to the femur, negative inside, where a closed form
         of it is known.

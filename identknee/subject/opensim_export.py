@@ -14,15 +14,16 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.examples import opensim_file
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.opensim import (
     LIGAMENT_CLASS,
     MERGED,
+    MM_PER_M,
     TRANSITION_STRAIN,
     Bones,
+    Element,
     OsimLine,
+    OsimModel,
     bones_of,
     bundle_names,
     import_opensim,
@@ -31,7 +32,6 @@ from identknee.subject.opensim import (
     mesh_file,
     slack_length,
 )
-from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
 from identknee.subject.surface import write_surface
 
 # Transform axis, coordinate, direction and value in the scanned pose [rad, m].

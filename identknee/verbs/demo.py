@@ -15,17 +15,15 @@ from identknee.calibrate.starts import load_start
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.table import Laxity, write_laxity
+from identknee.laxity.table import Laxity, add_noise, laxity_rmse, write_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor, executor_of, serial, threads
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
 from identknee.verbs.options import REFERENCE, OutOption, Seed, Workers, option
 from identknee.verbs.simulate import LAXITY_FILE, SimulatedLaxity, simulated

@@ -13,11 +13,8 @@ from identknee.identify.design import ChosenTrials, linearised
 from identknee.identify.design import design as choose_trials
 from identknee.identify.design_criteria import CandidateTrials, Criterion
 from identknee.identify.profile.thresholds import chi2_threshold, f_threshold
-from identknee.laxity.candidates import unique_names
-from identknee.laxity.named_trials import TrialsLike, read_trials
-from identknee.laxity.protocol import FLEXION, LOADS, Protocol
-from identknee.laxity.table import COORDINATES, Laxity, write_laxity
-from identknee.laxity.zero_conventions import zero_of_added_trials
+from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
+from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array

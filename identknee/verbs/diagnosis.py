@@ -41,8 +41,8 @@ from identknee.diagnosis.missing_line import LineEnds, LineFinding, Pull
 from identknee.diagnosis.refit import Refit, Rival, RivalState
 from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
 from identknee.identify.laplace import Interval
+from identknee.laxity.protocol import zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.laxity.zero_conventions import zero_of_added_trials
 from identknee.model.effects.effect import Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
@@ -50,12 +50,11 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, finding, without_repeats
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned, stage
-from identknee.subject.effect_choice import EffectChoice
+from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.insertion_sites import PlaceSide
-from identknee.subject.knee import Knee
+from identknee.subject.knee import EffectChoice, Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import with_noise
 from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject

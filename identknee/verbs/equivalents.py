@@ -11,15 +11,14 @@ from identknee.calibrate.quantity import Quantity, RestrictedQuantity
 from identknee.identify.equivalents import EquivalentSets
 from identknee.identify.equivalents import equivalents as equivalent_sets
 from identknee.identify.region import Region, noise_region, power_of_best_test
-from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.laxity.protocol import Protocol
-from identknee.model.equivalence import largest_loads, rms_blocks
+from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import ligament_forces, tensions_of
-from identknee.model.residuals import LaxityResiduals
+from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
-from identknee.runs.outcome import Outcome
 from identknee.runs.progress import planned
+from identknee.runs.record import Outcome
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (

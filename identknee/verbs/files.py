@@ -21,8 +21,7 @@ from identknee.runs.files import (
     write_atomically,
     write_json,
 )
-from identknee.runs.plain_records import from_plain, summary_of
-from identknee.runs.schema import Fault, read_json, shown
+from identknee.runs.schema import Fault, from_plain, read_json, shown, summary_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.registry import verb_named
 

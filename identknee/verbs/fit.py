@@ -33,22 +33,27 @@ from identknee.checks.usable_trials import (
     unfitted_findings,
 )
 from identknee.identify.nuisances import nuisance_estimates
-from identknee.laxity.rmse import LaxityError, laxity_rmse
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.laxity.zero_conventions import ABSOLUTE
-from identknee.mechanics.load_paths import Continuation
+from identknee.laxity.protocol import ABSOLUTE
+from identknee.laxity.table import (
+    COORDINATES,
+    ROTATIONS,
+    TRANSLATIONS,
+    Laxity,
+    LaxityError,
+    laxity_rmse,
+)
+from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.effects.stored import choice_of
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import poses_of
+from identknee.model.effects.library import choice_of
+from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
-from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, declared, derived, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.verbs import options

@@ -7,13 +7,11 @@ import numpy as np
 
 from identknee.checks.usable_trials import table_model
 from identknee.model.effects.insertion import AXES, BONES
-from identknee.model.knee_parameters import tied
+from identknee.model.laxity_model import tied
 from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.subject.effect_choice import EffectChoice
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated_uncertainty
+from identknee.subject.knee import EffectChoice, Knee, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import knee_digest
 

@@ -39,14 +39,13 @@ from identknee.identify.optimum import check_within_bounds
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.shared_errors import has_shared_errors, shared_errors
+from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.verb import warm_up

@@ -6,13 +6,13 @@ from typing import Annotated, Unpack, overload
 from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
-from identknee.laxity.named_trials import TrialsLike, read_trials
+from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
-from identknee.subject.uncertainty import UncertainLike
+from identknee.subject.knee import UncertainLike
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis, diagnose_data

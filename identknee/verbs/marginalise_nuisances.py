@@ -8,8 +8,7 @@ from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import BoundedProblem, restricted
 from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.shared_errors import has_shared_errors, shared_errors
+from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor
 from identknee.verbs.identification import Identification, best_fits

@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
-from identknee.laxity.named_trials import TrialsLike
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs import executors as workers
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import UncertainLike
+from identknee.subject.knee import Knee, UncertainLike
 from identknee.verbs.values import BoundsLike, NoiseLike
 
 SubjectLike = Knee | PathLike

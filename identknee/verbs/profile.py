@@ -17,8 +17,8 @@ from identknee.identify.profile.thresholds import (
     f_threshold,
     resimulated,
 )
-from identknee.laxity.named_trials import TrialsLike, read_trials
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry

@@ -11,10 +11,9 @@ from identknee.calibrate.starts import load_start
 from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
 from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed
-from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, TrialsLike, read_tests
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
-from identknee.model.model_for_tests import model_for_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.model.quantities import LaxityOutputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry

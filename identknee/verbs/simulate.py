@@ -8,19 +8,23 @@ from typing_extensions import override
 from identknee.calibrate.starts import load_start
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.usable_trials import path_findings
-from identknee.laxity.named_trials import TrialsLike, read_tests
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.rmse import LaxityError, laxity_rmse
-from identknee.laxity.table import Laxity, write_laxity
-from identknee.mechanics.load_paths import Continuation
+from identknee.laxity.table import (
+    Laxity,
+    LaxityError,
+    TrialsLike,
+    add_noise,
+    laxity_rmse,
+    read_tests,
+    write_laxity,
+)
+from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.laxity_model import Contact, LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import Contact, LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import option

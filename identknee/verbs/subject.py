@@ -9,9 +9,9 @@ from typing_extensions import override
 
 from identknee.checks.subject_checks import StabilityReport, check_stability
 from identknee.laxity.named_tables import TABLES
-from identknee.laxity.named_trials import TrialsLike, example_laxity, read_tests
+from identknee.laxity.table import TrialsLike, example_laxity, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
-from identknee.model.model_for_tests import model_for_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, derived, entry
 from identknee.runs.executors import executor_of, threads

@@ -21,8 +21,7 @@ from identknee.runs.progress import progress_bar
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
 from identknee.subject.folder import read_subject
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import EXACTLY, with_stated_uncertainty
+from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import explained, parameters_in_full

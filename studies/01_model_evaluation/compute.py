@@ -16,7 +16,7 @@ from common.problems import model_of
 from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
-from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.pose import coordinates_from_pose
 
 KNEES = ("reference", "lenhart2015_stable", "lenhart2015")
 RAMP_FLEXION_DEG = (0.0, 30.0, 60.0)

@@ -21,7 +21,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.identify.sweep import sweep
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.verbs.sweep import trials_lost
 
 GUESSES = ("IG1", "IG2", "IG3", "IG4")

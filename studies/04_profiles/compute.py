@@ -18,7 +18,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.identify.profile.profile import profile, profile_parameters
 from identknee.report.parameter_figures import nested
-from identknee.runs.plain_records import to_plain
+from identknee.runs.schema import to_plain
 
 KNEES = ("reference", "lenhart2015_stable")
 # mm and deg; the study's own, and those at which it asks what is still known.

@@ -20,7 +20,7 @@ from common.records import Row, rounded, study_knee, write_record
 import identknee as ik
 from identknee.identify.posterior.sample import sample
 from identknee.identify.profile.profile import profile_parameters
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.verbs.sample import as_answer, predictive
 
 KNEES = ("reference", "lenhart2015_stable")

@@ -19,7 +19,7 @@ from common import records
 from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 
 KNEE = "reference"
 SIGNALS = (12.0, 6.0)

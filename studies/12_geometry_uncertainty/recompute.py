@@ -8,7 +8,7 @@ from common.records import rounded, study_knee
 from compute import DIGITS, replicate_row
 
 import identknee as ik
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 Row = dict[str, Any]
 ENDS = {Outcome.MINIMUM.value, Outcome.START_FAILED.value}

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 import identknee as ik
 from identknee.runs.errors import NotComputable
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 from identknee.verbs.identification import identification
 
 KNEE = "reference"

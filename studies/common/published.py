@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.laxity.protocol import LOADS, trial_name
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zero_conventions import SAME_ANGLE_DEG
+from identknee.laxity.protocol import LOADS, SAME_ANGLE_DEG, trial_name
+from identknee.laxity.table import COORDINATES, Laxity, relative_to_unloaded
 from identknee.runs.arrays import Array
 
 PAPER = (

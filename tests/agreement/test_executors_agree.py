@@ -15,7 +15,7 @@ import numpy as np
 from small_knee import small_knee, small_protocol
 
 from identknee.calibrate.fit import fit_many
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array

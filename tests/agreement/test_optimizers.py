@@ -5,7 +5,7 @@ import pytest
 from problems import EASY, disc_in_the_way, linear, sloppy_springs
 
 from identknee.calibrate.fit import METHODS, fit
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 pytest.importorskip("cma")
 pytest.importorskip("pymoo")

@@ -12,7 +12,7 @@ from rows import Measure, Row, median_of
 from identknee.mechanics import kernel
 from identknee.mechanics.memory import N_EVALUATIONS, N_LISTINGS
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 
 RUNS = 100
 STATED_LIMIT = 1.0  # ms

@@ -11,7 +11,7 @@ from rows import Row, median_of
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, process_pool, serial

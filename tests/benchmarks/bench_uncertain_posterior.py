@@ -12,7 +12,7 @@ from identknee.identify.posterior.sample import sample
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.executors import process_pool
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 
 WORKERS = 2
 KNEES = ("reference", "lenhart2015_stable")

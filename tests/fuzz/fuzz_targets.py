@@ -29,18 +29,17 @@ from small_knee import small_knee, small_protocol
 
 from identknee.blind.truth import Truth, read_truth, write_truth
 from identknee.calibrate.starts import load_start
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import Laxity, read_laxity, write_laxity
-from identknee.model.effects.stored import effects_of
+from identknee.laxity.table import Laxity, add_noise, read_laxity, write_laxity
+from identknee.model.effects.library import effects_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.runs.files import digest
 from identknee.runs.store import finish_work, open_work, resumable_map
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import read_subject, write_subject
+from identknee.subject.knee import EffectChoice
 from identknee.subject.opensim import import_opensim
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import read_surface, write_surface

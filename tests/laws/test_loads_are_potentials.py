@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identknee.laxity.protocol import LOADS, Protocol
-from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.mechanics.pose import rotation_matrix
+from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.model import contact_geometry as joint
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model import laxity_model as joint
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 

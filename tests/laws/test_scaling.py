@@ -8,11 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints, LineLigaments, solve
-from identknee.mechanics.load_paths import load_paths
+from identknee.mechanics.equilibria import ContactPoints, LineLigaments, load_paths, solve
 from identknee.mechanics.memory import CONVERGED, Equilibria
-from identknee.model.contact_geometry import ContactGeometry
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import ContactGeometry, LaxityModel
 from identknee.runs.arrays import Array
 
 # Stiffer or larger, the same residual leaves the pose elsewhere by as much less or more; paths of

@@ -14,11 +14,9 @@ from evaluation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
+from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model.contact_geometry import ContactGeometry
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import ContactGeometry, LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 

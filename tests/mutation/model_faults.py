@@ -32,7 +32,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/frames.py",
+        "identknee/model/effects/readings.py",
         "",
         "FRAME_SD, FRAME_LIMIT = (2.0, 10.0)",
         "FRAME_SD, FRAME_LIMIT = (8.0, 10.0)",
@@ -40,7 +40,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/frames.py",
+        "identknee/model/effects/readings.py",
         "flexion_offset",
         "amplitudes('flexion_offset', ['flexion_deg'], [2.0], upper=[8.0])",
         "amplitudes('flexion_offset', ['flexion_deg'], [8.0], upper=[8.0])",
@@ -48,7 +48,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/contact_law.py",
+        "identknee/model/effects/tissues.py",
         "",
         "CARTILAGE_SD, NUMERICAL_SD = (0.7, 0.15)",
         "CARTILAGE_SD, NUMERICAL_SD = (0.1, 0.15)",
@@ -56,7 +56,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/contact_law.py",
+        "identknee/model/effects/tissues.py",
         "",
         "CARTILAGE_SD, NUMERICAL_SD = (0.7, 0.15)",
         "CARTILAGE_SD, NUMERICAL_SD = (0.7, 0.6)",
@@ -64,7 +64,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/contact_law.py",
+        "identknee/model/effects/tissues.py",
         "",
         "EXPONENT_SD = 0.3",
         "EXPONENT_SD = 0.05",
@@ -120,7 +120,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/bundles.py",
+        "identknee/model/effects/tissues.py",
         "",
         "5.0",
         "15.0",
@@ -128,7 +128,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/wrapping.py",
+        "identknee/model/effects/tissues.py",
         "mcl_wrapping",
         "amplitudes(NAME, ['lift_mm'], [4.0], lower=[0.0], upper=[12.0])",
         "amplitudes(NAME, ['lift_mm'], [1.0], lower=[0.0], upper=[12.0])",
@@ -136,7 +136,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/contact_law.py",
+        "identknee/model/effects/tissues.py",
         "Meniscus.__post_init__",
         "amplitudes(self.name, names, [20.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])",
         "amplitudes(self.name, names, [2.0, 20.0], lower=[0.0, 0.0], upper=[100.0, 100.0])",
@@ -160,7 +160,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/history.py",
+        "identknee/model/effects/readings.py",
         "hysteresis",
         "amplitudes('hysteresis', names, [1.0, 1.0], lower=[0.0, 0.0], upper=[8.0, 8.0])",
         "amplitudes('hysteresis', names, [5.0, 1.0], lower=[0.0, 0.0], upper=[8.0, 8.0])",
@@ -168,7 +168,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/history.py",
+        "identknee/model/effects/readings.py",
         "rig_compliance",
         "amplitudes(name, ['compliance_deg_per_Nm'], [0.1], lower=[0.0], upper=[1.0])",
         "amplitudes(name, ['compliance_deg_per_Nm'], [0.01], lower=[0.0], upper=[1.0])",
@@ -250,7 +250,7 @@ EFFECTS = (
         _LOADS,
     ),
     fault(
-        "identknee/model/effects/frames.py",
+        "identknee/model/effects/readings.py",
         "_read",
         "np.einsum('ikn,kln->iln', np.einsum('jin,jkn->ikn', femur, actual), tibia)",
         "np.einsum('ikn,kln->iln', np.einsum('ijn,jkn->ikn', femur, actual), tibia)",
@@ -258,7 +258,7 @@ EFFECTS = (
         _READINGS,
     ),
     fault(
-        "identknee/model/effects/history.py",
+        "identknee/model/effects/readings.py",
         "_with_hysteresis",
         "(phase == UNLOADING).astype(float) - (phase == LOADING)",
         "(phase == LOADING).astype(float) - (phase == UNLOADING)",
@@ -266,7 +266,7 @@ EFFECTS = (
         _READINGS,
     ),
     fault(
-        "identknee/model/effects/history.py",
+        "identknee/model/effects/readings.py",
         "_with_creep",
         "np.log(order - order.min() + 1.0)",
         "order - order.min() + 1.0",
@@ -292,7 +292,7 @@ MECHANICS = (
         f"{_LAWS}::test_the_stiffness_of_contact_is_the_slope_of_its_force",
     ),
     fault(
-        "identknee/mechanics/contact_law.py",
+        "identknee/mechanics/distance_field.py",
         "",
         "REFERENCE_DEPTH = 0.3",
         "REFERENCE_DEPTH = 0.6",
@@ -439,7 +439,7 @@ MECHANICS = (
         f"{_ENERGY}::test_energy_gradient_hessian_and_flexion_slope_are_the_oracles",
     ),
     fault(
-        "identknee/mechanics/grood_suntay.py",
+        "identknee/mechanics/pose.py",
         "coordinates_from_pose",
         "pose[..., 4] - y * np.tan(varus)",
         "pose[..., 4] + y * np.tan(varus)",
@@ -447,7 +447,7 @@ MECHANICS = (
         _GROOD,
     ),
     fault(
-        "identknee/mechanics/grood_suntay.py",
+        "identknee/mechanics/pose.py",
         "coordinates_from_pose",
         "coordinates[..., 2] = -y / np.cos(varus)",
         "coordinates[..., 2] = -y",
@@ -455,7 +455,7 @@ MECHANICS = (
         _GROOD,
     ),
     fault(
-        "identknee/mechanics/grood_suntay.py",
+        "identknee/mechanics/pose.py",
         "coordinate_jacobian",
         "jacobian[..., 2, 0] = -y * secant * tangent",
         "jacobian[..., 2, 0] = y * secant * tangent",
@@ -471,7 +471,7 @@ MECHANICS = (
         "tests/unit/mechanics/test_rims.py",
     ),
     fault(
-        "identknee/laxity/noise.py",
+        "identknee/laxity/table.py",
         "_standard_draws",
         "scale = np.sqrt((student_degrees - 2) / student_degrees)",
         "scale = 1.0",
@@ -479,7 +479,7 @@ MECHANICS = (
         _NOISE,
     ),
     fault(
-        "identknee/laxity/noise.py",
+        "identknee/laxity/table.py",
         "add_noise",
         "sd[:, TRANSLATIONS], sd[:, ROTATIONS] = (sd_mm, sd_deg)",
         "sd[:, TRANSLATIONS], sd[:, ROTATIONS] = (sd_deg, sd_mm)",
@@ -522,7 +522,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/effect_stack.py",
+        "identknee/model/effects/effect.py",
         "_gradient_differences",
         "share = moves[:, line, entry] / (2.0 * step)",
         "share = np.abs(moves[:, line, entry]) / (2.0 * step)",
@@ -530,7 +530,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/effect_stack.py",
+        "identknee/model/effects/effect.py",
         "gradient_columns",
         "framed = replace(before, frames=settings[-1].frames)",
         "framed = before",
@@ -546,7 +546,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/shared_errors.py",
+        "identknee/model/residuals.py",
         "_flexions",
         "slopes = sd_deg * jacobian[:, :, -1]",
         "slopes = jacobian[:, :, -1]",
@@ -626,7 +626,7 @@ NUISANCES = (
         "tests/unit/calibrate/test_least_squares.py",
     ),
     fault(
-        "identknee/subject/uncertainty.py",
+        "identknee/subject/knee.py",
         "_one",
         "number / 100.0 if unit == '%' else number",
         "number",

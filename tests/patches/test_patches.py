@@ -44,13 +44,13 @@ ADDITIONS = (
     Addition(
         name="diagnose_field",
         most_files=2,
-        code="from identknee.runs.plain_records import summary_of\n"
+        code="from identknee.runs.schema import summary_of\n"
         f"assert summary_of(ik.load({str(RESULTS / 'diagnose')!r}))['n_causes'] == 1\n",
     ),
     Addition(
         name="profile_field",
         most_files=1,
-        code="from identknee.runs.plain_records import summary_of\n"
+        code="from identknee.runs.schema import summary_of\n"
         f"assert summary_of(ik.load({str(RESULTS / 'profile')!r}))['n_bounded'] in (0, 1)\n",
     ),
     Addition(

@@ -12,10 +12,8 @@ import numpy as np
 from common.published import TABLE2
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import COORDINATES, Laxity
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.laxity.table import COORDINATES, Laxity, relative_to_unloaded
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 
 PATH = Path(__file__).with_name("reference_knee.json")

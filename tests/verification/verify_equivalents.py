@@ -14,11 +14,10 @@ from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.identify.equivalents import EquivalentSets, equivalents, longest_axes, points_along
 from identknee.identify.region import Region, RegionView, noise_region
-from identknee.laxity.noise import add_noise
-from identknee.model.equivalence import largest_loads, rms_blocks
+from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import ligament_forces
-from identknee.model.residuals import LaxityResiduals
+from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.arrays import Array
 
 SD = 0.5

@@ -9,7 +9,7 @@ from rows import Row, largest_of
 from identknee.calibrate.problem import typical_steps
 from identknee.checks.subject_checks import box_sample
 from identknee.identify.information import spectrum
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array

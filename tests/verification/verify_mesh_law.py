@@ -7,10 +7,9 @@ from rows import Measure, Row
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
-from identknee.mechanics.grood_suntay import coordinate_jacobian
 from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.mesh_contact import Convention, mesh_contact
-from identknee.mechanics.pose import place
+from identknee.mechanics.pose import coordinate_jacobian, place
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee

@@ -10,9 +10,8 @@ from scipy.stats import beta
 
 from identknee.calibrate.fit import fit
 from identknee.checks.contradicted_trials import contradicted_rows, suspicious_end_points
-from identknee.laxity.dominant_load import opposite_pairs
-from identknee.laxity.named_trials import example_laxity
-from identknee.laxity.table import Laxity
+from identknee.laxity.protocol import opposite_pairs
+from identknee.laxity.table import Laxity, example_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 

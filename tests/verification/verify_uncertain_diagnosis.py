@@ -34,7 +34,7 @@ from identknee.diagnosis.advice import protocol_isolability
 from identknee.laxity.protocol import load_protocol
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Uncertainty
 
 STATED_MM, ACTUAL_MM = 2.0, (1.5, 2.0)
 # As the blind generator sizes them, geometry known: beyond the geometry less is left.

@@ -37,9 +37,9 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared
 from identknee.runs.executors import Executor, serial
-from identknee.runs.plain_records import to_plain
 from identknee.runs.progress import Advance, progress_bar
 from identknee.runs.record import record
+from identknee.runs.schema import to_plain
 from identknee.runs.store import Store, resumable_map
 
 # Walkers start around an optimum with this many times the spread that its curvature promises; less

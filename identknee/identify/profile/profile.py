@@ -44,8 +44,8 @@ from identknee.identify.profile.walk import (
 from identknee.identify.sweep import sobol_starts
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
-from identknee.runs.outcome import Outcome
-from identknee.runs.plain_records import from_plain, to_plain
+from identknee.runs.record import Outcome
+from identknee.runs.schema import from_plain, to_plain
 from identknee.runs.store import Store, resumable_map
 
 MOST_BRANCHES = 12

@@ -18,7 +18,7 @@ from identknee.calibrate.problem import conditional_sds
 from identknee.calibrate.quantity import ParameterQuantity, Quantity
 from identknee.identify.profile.result import Side, SideStatus, crossings
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # Points tried until one has a prediction, and fits made from those that have one.
 N_TRIED = 48

@@ -1,14 +1,30 @@
-"""Effects: physical causes that change the mechanics of a knee or its measurement."""
+"""Effects: physical causes that change the mechanics of a knee or its measurement, alone and together.
+
+Mechanics inputs are smooth closed-form functions of the amplitudes and are differentiated
+numerically. Replicas of the inputs, each with one amplitude perturbed, pass through the later
+effects together, as one batch. Their changes of the lines are a table of differences, and the
+derivatives of the gradient by the entries of the table are computed once for all amplitudes.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
+from identknee.mechanics.contact_points import contact_motion_columns
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.mechanics.ligament_tensions import line_gradients
+from identknee.mechanics.memory import CONVERGED, Equilibria
+from identknee.model.mechanics_inputs import (
+    MechanicsInputs,
+    motions,
+    repeated,
+    to_measured,
+    with_replicas,
+)
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
@@ -289,3 +305,339 @@ def unit_of(parameter: str) -> str:
     """
     last = parameter.rpartition(".")[2]
     return next((unit for end, unit in UNITS.items() if f"_{last}".endswith(f"_{end}")), PLAIN)
+
+
+Placed = tuple[MechanicalEffect, slice]
+# Smaller differences, relative to what differs, are rounding.
+SMALLEST_DIFFERENCE = 1e-11
+
+
+def gradient_columns(
+    effects: Sequence[Placed],
+    settings: Sequence[MechanicsInputs],
+    values: Array,
+    steps: Array,
+    found: Equilibria,
+    nodes: IntArray,
+) -> Array:
+    """Derivatives of the gradient by the amplitudes at the poses found, shape ``(n, 5, a)``.
+
+    Parameters
+    ----------
+    effects
+        The effects, and where their amplitudes stand among `values`.
+    settings
+        The setting without effects at the nodes of the load paths, then with one more each time.
+    values, steps
+        All amplitudes, and a small change of each, shape ``(a,)``.
+    found
+        The equilibria at the nodes, made under a stated contact law.
+    nodes
+        The node of each trial, shape ``(n,)``.
+    """
+    flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
+    columns = np.zeros((len(nodes), 5, len(values)))
+    copies = _Replicas(len(values))
+    table = _table(settings[-1])
+    moves = np.zeros((len(values), *table.shape))
+    for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
+        if is_self_contained(effect):
+            framed = replace(before, frames=settings[-1].frames)
+            columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
+            continue
+        copies.change(effect, values[part], after)
+        each = central_difference_values(values[part], steps[part])
+        if moves_frames(effect):
+            turns, shifts = effect.placements(each)
+            moves[part] = _frame_differences(turns, shifts, settings[-1])
+            surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
+            columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
+        else:
+            copies.add(effect, before, after, each, first=part.start)
+    moves += copies.moves(len(table))
+    changes = _gradient_differences(table, moves, flexion, poses) + copies.by_nodes(found, nodes)
+    return np.asarray(columns + changes / (2.0 * steps))
+
+
+def central_difference_values(values: Array, steps: Array) -> Array:
+    """Values (a,) for central differences: each a step smaller, then larger, ``(2 a, a)``."""
+    moves = np.repeat(np.diag(steps), 2, axis=0)
+    moves[::2] *= -1.0
+    return np.asarray(values + moves)
+
+
+class _Replicas:
+    """Replicas 2 k and 2 k + 1 of the inputs, with amplitude k perturbed down and up.
+
+    All in one setting: first the one in which none is moved, as copy -1, then the lines and the
+    nodes that an amplitude changes. The contact law is one; effects add to its logarithm and to its
+    exponent, whatever they are.
+    """
+
+    def __init__(self, n_values: int) -> None:
+        self._n_values = n_values
+        self._all: MechanicsInputs | None = None
+        self._of_nodes: list[int] = []
+        self._laws = np.zeros((2, n_values))
+
+    def change(self, effect: MechanicalEffect, values: Array, after: MechanicsInputs) -> None:
+        """Apply to all replicas an effect that turned the inputs into `after`."""
+        if self._all is None:
+            return
+        if moves_frames(effect):
+            self._all = replace(self._all, frames=after.frames)
+        else:
+            self._all = effect.change(self._all, values)
+
+    def add(
+        self,
+        effect: MechanicalEffect,
+        before: MechanicsInputs,
+        after: MechanicsInputs,
+        each: Array,
+        *,
+        first: int,
+    ) -> None:
+        """Add those with amplitudes of `each` row (k, a) of `effect`, `first` and those after it.
+
+        Parameters
+        ----------
+        effect
+            The effect.
+        before, after
+            The setting without it and with it.
+        each
+            Its amplitudes in turn smaller and larger.
+        first
+            Place of the first of them among all.
+        """
+        if not len(each):
+            return
+        copies = range(2 * first, 2 * first + len(each))
+        if changes_replicas(effect):
+            before = repeated(before, len(each))
+            own = effect.change_copies(before, each)
+            made = [replace(own, copy=2 * first + own.copy)]
+        else:
+            made = [effect.change(before, x) for x in each]
+            for k, (low, high) in enumerate(zip(made[::2], made[1::2], strict=True), start=first):
+                self._laws[0, k] = np.log(high.law.modulus / low.law.modulus)
+                self._laws[1, k] = high.law.exponent - low.law.exponent
+        others = made[0]
+        has_lines = any(
+            getattr(others, x) is not getattr(before, x)
+            for x in ("lines", "stiffness", "reference_strain")
+        )
+        has_nodes = others.loads is not before.loads or others.flexion is not before.flexion
+        if not (has_lines or has_nodes):
+            return
+        if has_nodes:
+            self._of_nodes += copies
+        if has_lines and not changes_replicas(effect):
+            made = [x.as_replica(i) for x, i in zip(made, copies, strict=True)]
+        whole = after.as_replica(-1) if self._all is None else self._all
+        self._all = with_replicas(whole, made, lines=has_lines, nodes=has_nodes)
+
+    def by_nodes(self, found: Equilibria, nodes: IntArray) -> Array:
+        """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
+        # The sensitivities are -H^-1 times the columns that are wanted here.
+        laws = found.sensitivities[nodes][:, :, -2:] @ self._laws
+        changes = np.asarray(-found.hessians[nodes] @ laws)
+        if self._all is None or not self._of_nodes:
+            return changes
+        n_nodes = len(found.poses)
+        loads = self._all.loads.reshape(-1, n_nodes, 5)[1:, nodes]
+        flexion = self._all.flexion.reshape(-1, n_nodes)[1:, nodes]
+        by_flexion = (flexion[1::2] - flexion[::2])[:, :, None] * found.gradient_by_flexion[nodes]
+        moved = np.array(self._of_nodes[::2]) // 2
+        changes[:, :, moved] += np.moveaxis(loads[::2] - loads[1::2] + by_flexion, 0, 2)
+        return changes
+
+    def moves(self, n_lines: int) -> Array:
+        """Differences of the table of lines, each amplitude's second copy less its first."""
+        moves = np.zeros((self._n_values, n_lines, 12))
+        if self._all is None:
+            return moves
+        order = np.argsort(self._all.copy, kind="stable")
+        order = order[np.searchsorted(self._all.copy[order], 0) :]
+        copy, table = self._all.copy[order], _table(self._all)[order]
+        low, high = copy % 2 == 0, copy % 2 == 1
+        # The lines of a copy are the first of all, those an effect added later being in none.
+        line = np.arange(len(order)) - np.searchsorted(copy, copy)
+        moves[copy[low] // 2, line[low]] = table[high] - table[low]
+        return moves
+
+
+def _frame_differences(turns: Array, shifts: Array, setting: MechanicsInputs) -> Array:
+    """Differences of the table of lines between frames in turn, as `placements` gives them."""
+    unmoved = _table(replace(setting, frames=None))
+    moves = np.zeros((len(turns) // 2, *unmoved.shape))
+    for bone in range(2):
+        place = slice(3 * bone, 3 * bone + 3)
+        moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
+        moves[:, :, place] = moved[1::2] - moved[::2]
+    return moves
+
+
+def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
+    """Change of the gradient by small `moves` (a, m, 12) of a table of lines, ``(n, 5, a)``."""
+    steps = np.abs(moves).max(axis=0, initial=0.0)
+    line, entry = np.nonzero(steps > SMALLEST_DIFFERENCE * (1.0 + np.abs(table)))
+    low, high = table[line], table[line]
+    step, place = steps[line, entry], (np.arange(len(line)), entry)
+    low[place] -= step
+    high[place] += step
+    both = np.concatenate([low, high])
+    lines = LineLigaments(
+        femoral=both[:, :3],
+        tibial=both[:, 3:6],
+        reference_length=both[:, 6],
+        transition=both[:, 7],
+        wrap_offset=both[:, 8],
+        wrap_place=both[:, 9],
+    )
+    less, more = np.split(
+        line_gradients(lines, flexion, poses, both[:, 10], both[:, 11]), 2, axis=1
+    )
+    share = moves[:, line, entry] / (2.0 * step)
+    return np.asarray(np.swapaxes(share @ (more - less), 1, 2))
+
+
+def _table(setting: MechanicsInputs) -> Array:
+    """All quantities that the gradient of each line depends on, shape ``(m, 12)``."""
+    x = setting.measured_lines
+    courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
+    laws = (setting.stiffness, setting.reference_strain)
+    return np.column_stack([x.femoral, x.tibial, *courses, *laws])
+
+
+# Of the range of an amplitude: settings and observations are smooth functions in closed form, whose
+# central difference is right to the square of this.
+STEP = 1e-6
+COORDINATE_STEP = 1e-4  # mm, deg
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EffectStack:
+    """The effects of a model, and the indices of their amplitudes in one vector.
+
+    Attributes
+    ----------
+    effects
+        In the order in which they act.
+    """
+
+    effects: tuple[Effect, ...]
+    _mechanical: tuple[tuple[MechanicalEffect, slice], ...] = field(init=False, repr=False)
+    _observed: tuple[tuple[ObservationEffect, slice], ...] = field(init=False, repr=False)
+    _steps: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        ends = np.cumsum([0, *(x.parameters.n for x in self.effects)]).tolist()
+        parts = [slice(*x) for x in pairwise(ends)]
+        placed = list(zip(self.effects, parts, strict=True))
+        mechanical = tuple((x, part) for x, part in placed if isinstance(x, MechanicalEffect))
+        observed = tuple((x, part) for x, part in placed if isinstance(x, ObservationEffect))
+        ranges = [x.parameters.upper - x.parameters.lower for x in self.effects]
+        object.__setattr__(self, "_steps", STEP * np.concatenate([np.zeros(0), *ranges]))
+        object.__setattr__(self, "_mechanical", mechanical)
+        object.__setattr__(self, "_observed", observed)
+
+    @property
+    def parameters(self) -> Parameters | None:
+        """Amplitudes of all effects; None where there is none."""
+        return joined([x.parameters for x in self.effects]) if self.effects else None
+
+    def changes(self, setting: MechanicsInputs, values: Array) -> list[MechanicsInputs]:
+        """The inputs, then with one more effect each time, all at amplitudes `values`."""
+        settings = [setting]
+        for effect, part in self._mechanical:
+            settings.append(effect.change(settings[-1], values[part]))
+        return settings
+
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+        """The inputs with all effects at amplitudes `values`."""
+        return self.changes(setting, values)[-1]
+
+    def observe(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+        """What is measured of coordinates, shape ``(n, 5)``."""
+        for effect, part in self._observed:
+            coordinates = effect.observe(coordinates, values[part], tests)
+        return coordinates
+
+    def pose_columns(
+        self, settings: Sequence[MechanicsInputs], values: Array, found: Equilibria, nodes: IntArray
+    ) -> Array:
+        """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``; NaN without a pose.
+
+        Parameters
+        ----------
+        settings
+            Those of `changes`, at the nodes of the load paths.
+        values
+            Amplitudes, shape ``(a,)``.
+        found
+            The equilibria at the nodes, made under a stated contact law.
+        nodes
+            The node of each trial, shape ``(n,)``.
+        """
+        columns = -gradient_columns(self._mechanical, settings, values, self._steps, found, nodes)
+        # Where no equilibrium was found the Hessian may be singular.
+        has_pose = found.codes[nodes] == CONVERGED
+        columns[~has_pose] = np.nan
+        # Inverting matrices so small takes a third of the time that solving with them does.
+        columns[has_pose] = np.linalg.inv(found.hessians[nodes][has_pose]) @ columns[has_pose]
+        return columns
+
+    def observed_slopes(
+        self, coordinates: Array, values: Array, tests: TrialRecord
+    ) -> tuple[Array, Array]:
+        """Derivatives of what is measured, by coordinates (n, 5, 5) and amplitudes (n, 5, a)."""
+        if not self._observed:
+            by_coordinate = np.broadcast_to(np.eye(5), (len(coordinates), 5, 5))
+            return by_coordinate, np.zeros((len(coordinates), 5, len(values)))
+        # Readings with one number a little smaller and larger, all below each other: they go
+        # through the effects that act later together.
+        n, moved = len(coordinates), [*range(5)]
+        steps = np.r_[np.full(5, COORDINATE_STEP), self._steps]
+        stack = (coordinates + central_difference_values(np.zeros(5), steps[:5])[:, None]).reshape(
+            -1, 5
+        )
+        for effect, part in self._observed:
+            stack = effect.observe(stack, values[part], tests.repeated(len(stack) // n))
+            each = central_difference_values(values[part], self._steps[part])
+            stack = np.concatenate([stack, _readings(effect, coordinates, each, tests)])
+            coordinates = effect.observe(coordinates, values[part], tests)
+            moved += range(5 + part.start, 5 + part.stop)
+        low, high = np.moveaxis(stack.reshape(-1, 2, n, 5), 1, 0)
+        slopes = np.zeros((n, 5, 5 + len(values)))
+        slopes[:, :, moved] = np.moveaxis(high - low, 0, 2) / (2.0 * steps[moved])
+        return slopes[:, :, :5], slopes[:, :, 5:]
+
+    def moves(self) -> Array:
+        """A small change of each amplitude alone, shape ``(a, a)``."""
+        return np.diag(self._steps)
+
+
+def _readings(
+    effect: ObservationEffect, coordinates: Array, each: Array, tests: TrialRecord
+) -> Array:
+    """What is measured at amplitudes of `each` row (k, a), below each other, ``(k n, 5)``."""
+    k = len(each)
+    if k and reads_replicas(effect):
+        return effect.observe_copies(np.tile(coordinates, (k, 1)), each, tests.repeated(k))
+    return np.concatenate([coordinates[:0], *(effect.observe(coordinates, x, tests) for x in each)])
+
+
+def joined(parts: Sequence[Parameters]) -> Parameters:
+    """Parameters of several parts, one after the other."""
+    return Parameters(
+        names=tuple(name for x in parts for name in x.names),
+        center=np.concatenate([x.center for x in parts]),
+        lower=np.concatenate([x.lower for x in parts]),
+        upper=np.concatenate([x.upper for x in parts]),
+        prior_sd=np.concatenate([x.prior_sd for x in parts]),
+        is_log=np.concatenate([x.is_log for x in parts]),
+        is_nuisance=np.concatenate([~x.is_of_interest for x in parts]),
+        own=None if all(x.own is None for x in parts) else np.concatenate([x.start for x in parts]),
+    )

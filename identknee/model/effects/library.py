@@ -1,16 +1,13 @@
-"""The library of causes: every effect by its name, placed on the subject's own anatomy."""
+"""The library of causes: every effect by its name, placed on a subject and stored with it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 
-from identknee.model.effects.bundles import bundles
-from identknee.model.effects.contact_law import Cartilage, contact_nuisance, meniscus
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import Effect, with_fixed_amplitudes
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.frames import femur_frame, flexion_offset, tibia_frame
-from identknee.model.effects.history import creep, drift, hysteresis, rig_compliance
-from identknee.model.effects.insertion import insertion
+from identknee.model.effects.insertion import InsertionShift, insertion
 from identknee.model.effects.loads import (
     axis_misalignment,
     compression,
@@ -19,14 +16,38 @@ from identknee.model.effects.loads import (
     parasitic_shear,
     shank_gravity,
 )
-from identknee.model.effects.structures import STIFFNESS_SD, structure
-from identknee.model.effects.toe_strain import toe_strain
-from identknee.model.effects.wrapping import NAME as WRAPPING
-from identknee.model.effects.wrapping import mcl_wrapping
+from identknee.model.effects.readings import (
+    Remounting,
+    creep,
+    drift,
+    femur_frame,
+    flexion_offset,
+    hysteresis,
+    rig_compliance,
+    tibia_frame,
+)
+from identknee.model.effects.structures import (
+    STIFFNESS_SD,
+    MissingStructure,
+    PosteriorCapsule,
+    lines_of,
+    structure,
+)
+from identknee.model.effects.tissues import WRAPPING as WRAPPING
+from identknee.model.effects.tissues import (
+    Cartilage,
+    bundles,
+    contact_nuisance,
+    mcl_wrapping,
+    meniscus,
+    toe_strain,
+)
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array
 from identknee.runs.errors import suggestion
 from identknee.subject.anatomy import anatomy
 from identknee.subject.insertion_sites import structure_sites
-from identknee.subject.knee import Knee
+from identknee.subject.knee import EffectChoice, Knee
 
 NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift"})
 
@@ -122,3 +143,134 @@ _BY_NAME: dict[str, Maker] = {
 _MAKERS: Mapping[str, Maker] = MappingProxyType(
     {name: _BY_NAME[name] for name in FACTS if name in _BY_NAME}
 )
+
+
+@lru_cache(maxsize=16)
+def effects_of(knee: Knee) -> tuple[Effect, ...]:
+    """The effects stored with a knee, with its fixed amplitudes fixed.
+
+    Each has the prior of its kind, whatever amplitudes are stored.
+
+    Raises
+    ------
+    ValueError
+        If there is no such effect, it has no such amplitude, or a value is out of its range.
+    """
+    return tuple(_effect(knee, choice) for choice in knee.effects)
+
+
+def values_of(knee: Knee) -> dict[str, float]:
+    """The amplitudes stored with a knee that vary, by name, such as ``"compression.force_N"``."""
+    return {
+        f"{x.name}.{name}": value
+        for x in knee.effects
+        for name, value in x.values.items()
+        if name not in x.fixed
+    }
+
+
+def choice_of(
+    knee: Knee, effect: Effect, amplitudes: Array, *, fixed: Sequence[str] = ()
+) -> EffectChoice:
+    """An effect with its amplitudes as a knee can store it.
+
+    Parameters
+    ----------
+    knee
+        The subject on which the effect was placed.
+    effect
+        Effect of the library, a structure, or one of the knee's own.
+    amplitudes
+        In the order of the effect's parameters, shape ``(n,)``.
+    fixed
+        Names of amplitudes, without the effect's, that are not to be calibrated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from identknee.model.effects.loads import compression
+    >>> from identknee.subject.reference import reference_knee
+    >>> dict(choice_of(reference_knee(), compression(), np.array([20.0])).values)
+    {'force_N': 20.0}
+    """
+    names = (x.removeprefix(f"{effect.name}.") for x in effect.parameters.names)
+    values = {name: float(x) for name, x in zip(names, amplitudes, strict=True)}
+    for own in knee.effects:
+        if own.name == effect.name:
+            both = tuple(dict.fromkeys([*own.fixed, *fixed]))
+            return replace(own, values={**own.values, **values}, fixed=both)
+    plain = EffectChoice(name=effect.name, values=values, fixed=tuple(fixed))
+    if not isinstance(effect, MissingStructure | PosteriorCapsule):
+        return plain
+    first = effect.medial if isinstance(effect, PosteriorCapsule) else effect
+    return replace(
+        plain,
+        lines=lines_of(knee, effect),
+        stiffness_sd_kN=first.stiffness_sd,
+        site_sd_mm=first.site_sd if first.sites_vary else 0.0,
+    )
+
+
+def _effect(knee: Knee, choice: EffectChoice) -> Effect:
+    effect = _of_its_kind(knee, choice)
+    parameters = effect.parameters
+    for name, value in choice.values.items():
+        whole = f"{choice.name}.{name}"
+        if whole not in parameters.names:
+            raise ValueError(
+                f"the effect {choice.name} of {knee.name} has no amplitude {name!r}; "
+                + suggestion(name, [x.removeprefix(f"{choice.name}.") for x in parameters.names])
+            )
+        low, high = (
+            float(x[parameters.index(whole)]) for x in (parameters.lower, parameters.upper)
+        )
+        if not low <= value <= high:
+            raise ValueError(
+                f"{whole} of {knee.name} must be within {low:g} to {high:g}, got {value:g}"
+            )
+    fixed = {f"{choice.name}.{name}": choice.values[name] for name in choice.fixed}
+    return with_fixed_amplitudes(effect, fixed) if fixed else effect
+
+
+def _of_its_kind(knee: Knee, choice: EffectChoice) -> Effect:
+    if not choice.lines:
+        return effect_named(knee, choice.name)
+    return structure(
+        knee,
+        choice.name,
+        choice.lines,
+        stiffness_sd=choice.stiffness_sd_kN,
+        site_sd=choice.site_sd_mm,
+    )
+
+
+# What changes the knee given, and is no effect on it.
+OF_THE_KNEE = (InsertionShift, Remounting)
+
+
+def knee_with_effects(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
+    """The subject whose model has these effects with their amplitudes.
+
+    An insertion found elsewhere is moved there, errors of zero are stated.
+    """
+    extended, choices = knee, []
+    for effect, values in found:
+        if isinstance(effect, OF_THE_KNEE):
+            extended = effect.applied(extended, values)
+        else:
+            choices.append(choice_of(knee, effect, values))
+    return extended.with_effects(choices)
+
+
+def values_by_owner(
+    effects: Iterable[Effect], parameters: Parameters, theta: Array
+) -> dict[str, dict[str, float]]:
+    """All parameters by owner and name, as in a file of starts for `knee_with_effects`."""
+    applied = [x for x in effects if isinstance(x, OF_THE_KNEE)]
+    left_out = {name for x in applied for name in x.parameters.names}
+    tree: dict[str, dict[str, float]] = {}
+    for name, value in zip(parameters.names, theta.tolist(), strict=True):
+        if name not in left_out:
+            owner, _, quantity = name.partition(".")
+            tree.setdefault(owner, {})[quantity] = value
+    return tree

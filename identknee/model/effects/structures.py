@@ -13,8 +13,7 @@ from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs, w
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.subject.effect_choice import Points
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, Points
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
 SITE_SDS = 3.0  # how many of these they may be away

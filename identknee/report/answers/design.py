@@ -14,7 +14,7 @@ from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.marginalise import SHARE
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import (
     capitalised,
     error_words,

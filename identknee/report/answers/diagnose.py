@@ -28,7 +28,7 @@ from identknee.report.presenter import (
 )
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import (
     amount,
     amplitude_label,

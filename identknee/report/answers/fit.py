@@ -8,14 +8,13 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.checks.fit_warnings import AT_END
-from identknee.laxity.protocol import Protocol
-from identknee.laxity.zero_conventions import from_zero
+from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
 from identknee.report.presenter import Presenter, Question, Statement, of_type, presenter_of
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration

@@ -11,7 +11,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.report.answers.design import trial_list, trial_table, trials_words
 from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import table
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.laxity.zero_conventions import ABSOLUTE, from_zero
 from identknee.report.presenter import Presenter, Question, Statement
 from identknee.report.tables import table
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.simulate import SimulatedLaxity, Simulation

@@ -10,7 +10,7 @@ from identknee.identify.basins import END, POLISHED, Recovery, Survey
 from identknee.identify.sweep import OUTCOMES
 from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import Cell, Table, table
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.words import label, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.sweep import Sweep

@@ -27,11 +27,9 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.report.tables import table
-from identknee.runs.finding_kinds import About
-from identknee.runs.findings import Finding, Severity, by_severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress
-from identknee.runs.record import versions
+from identknee.runs.record import Outcome, versions
 from identknee.runs.words import capitalised, label, listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis

@@ -8,26 +8,23 @@ from markupsafe import Markup
 from scipy.spatial import cKDTree
 
 from identknee.calibrate.starts import load_start
-from identknee.laxity.dominant_load import nominal_loads
+from identknee.laxity.protocol import nominal_loads
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.grood_suntay import coordinates_from_pose
 from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.mechanics.pose import Placement, place
+from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.effects.effect import MechanicalEffect
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of
 from identknee.report.scene import distance_from_femur
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Frame, Knee
 from identknee.subject.surface import Surface, joined
 
 ROUNDS = 12  # of clustering; the patches hardly change after

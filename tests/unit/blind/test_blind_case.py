@@ -11,8 +11,8 @@ from identknee.blind.effects import EFFECTS, HISTORY, LISTED
 from identknee.blind.experiment import TOE_STRAIN
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import read_laxity
-from identknee.mechanics.grood_suntay import pose_from_coordinates
 from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.blind import energy
-from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.pose import coordinates_from_pose
 from identknee.runs.arrays import Array
 
 TOE = 0.03

@@ -10,7 +10,7 @@ import pytest
 from identknee.blind.scoring import score
 from identknee.blind.truth import Truth, read_truth, write_truth
 from identknee.runs.errors import InputError
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 
 TRUTH = Truth(
     seed=7,

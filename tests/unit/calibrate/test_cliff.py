@@ -15,7 +15,7 @@ from identknee.calibrate.evaluation import Evaluator
 from identknee.calibrate.fit import fit
 from identknee.calibrate.least_squares import descent_around_cliff
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 SCALES = np.array([3.0] * 4 + [2.0] * 4)
 

@@ -9,7 +9,7 @@ from problems import IG2, IG4, linear, sloppy_springs
 from identknee.calibrate.complex import Complex, minimise_by_complex
 from identknee.calibrate.evaluation import Evaluator
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 START = np.array([5.0, 0.5])
 HALF_WIDTHS = np.array([2.0, 3.0])

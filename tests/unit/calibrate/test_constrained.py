@@ -18,7 +18,7 @@ from problems import (
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.evaluation import Evaluation, Evaluator
 from identknee.calibrate.quantity import ParameterQuantity, UserQuantity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # The deviance may be off by its tolerance of 1e-8; a difference over 1e-3 by 1e-5 of that.
 TOLERANCE = 1e-8

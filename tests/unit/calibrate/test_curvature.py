@@ -11,7 +11,7 @@ from identknee.calibrate.evaluation import Curvature, Evaluator, evaluate
 from identknee.calibrate.quantity import ParameterQuantity
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 T = np.arange(1, 21) / 5.0
 NUISANCES = np.array([False, True, True, True])

@@ -4,7 +4,7 @@ from problems import Cliff, ClosedForm, linear, sloppy_springs
 
 from identknee.calibrate.evaluation import Evaluator, SearchEnded, evaluate
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 
 @pytest.fixture

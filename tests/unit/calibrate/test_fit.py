@@ -8,7 +8,7 @@ from problems import IG2, IG4, Cliff, ClosedForm, Linear, linear, plain_paramete
 from identknee.calibrate.fit import BUDGET, METHODS, fit, fit_many, waterfall
 from identknee.model.parameters import Parameters
 from identknee.runs.executors import process_pool, threads
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 
 def a_linear() -> Linear:

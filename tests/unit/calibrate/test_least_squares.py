@@ -19,7 +19,7 @@ from problems import (
 from identknee.calibrate.fit import fit
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 # What the benchmark wants of noise-free data, in kN and %.
 RECOVERY = 1e-9

@@ -5,7 +5,7 @@ from problems import linear
 from identknee.calibrate.evaluation import Evaluator, SearchEnded
 from identknee.calibrate.search import run_search, uniform_box
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 
 class Shrinking:

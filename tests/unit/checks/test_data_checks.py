@@ -7,11 +7,10 @@ from small_knee import as_read, small_knee
 
 import identknee as ik
 from identknee.checks.data_checks import frame_findings, load_findings
-from identknee.laxity.named_trials import example_laxity
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, example_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
 
 

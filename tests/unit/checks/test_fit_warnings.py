@@ -21,7 +21,7 @@ from identknee.checks.fit_warnings import (
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity, by_severity, finding_lines
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 
 NAMES = ("ACL.stiffness_kN", "PCL.stiffness_kN", "ACL.reference_strain_pct")
 

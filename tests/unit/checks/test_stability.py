@@ -10,7 +10,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
 from identknee.runs.executors import threads
 from identknee.runs.findings import Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
 
 N_SAMPLES = 20

@@ -16,8 +16,7 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.findings import Severity
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Knee, Uncertainty
 
 
 def slack() -> Knee:

@@ -14,7 +14,7 @@ from report_folders import write_given
 import identknee as ik
 from identknee.diagnosis.verdict import Verdict
 from identknee.runs.files import plain
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.verbs.files import load
 
 OPTIONS: dict[str, Any] = {"seed": 7, "effect": "rig_compliance_IE", "signal": 8}

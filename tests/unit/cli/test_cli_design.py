@@ -9,7 +9,7 @@ import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
-from identknee.subject.uncertainty import BONES
+from identknee.subject.knee import BONES
 from identknee.verbs.files import load
 
 HELD = [

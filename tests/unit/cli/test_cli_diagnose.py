@@ -16,7 +16,7 @@ from identknee.diagnosis.isolability import MOST_TRIALS
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.runs.files import plain
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 
 # Two groups of these pass for each other where there are few trials.
 FEW = {FRAME, "tibia_frame", "posteromedial", "posterior_capsule", "deep_mcl"}

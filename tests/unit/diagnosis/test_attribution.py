@@ -29,7 +29,7 @@ from identknee.diagnosis.refit import (
     rivals_of,
     without_causes,
 )
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters

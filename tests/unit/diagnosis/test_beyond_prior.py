@@ -8,15 +8,13 @@ from diagnoses import SD, short_trials
 from identknee.diagnosis.candidates import insertions_beyond_prior
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
-from identknee.model.effects.frames import tibia_frame
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.insertion import moved_insertion
 from identknee.model.effects.loads import compression
+from identknee.model.effects.readings import tibia_frame
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.diagnosis import diagnosis_of
 
 STATED = Uncertainty(insertions_mm=0.5)

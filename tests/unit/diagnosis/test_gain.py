@@ -12,15 +12,15 @@ from identknee.diagnosis.fitting import FittedModel, best_fit_from
 from identknee.diagnosis.folds import FAMILIES, FLEXION
 from identknee.diagnosis.gain import Gain, ParameterChange, measure_gain
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import add_noise
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.loads import compression
 from identknee.model.effects.structures import MissingStructure, structure_at
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.files import plain
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import gain_found
 

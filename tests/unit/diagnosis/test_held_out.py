@@ -22,7 +22,7 @@ from identknee.diagnosis.folds import DIRECTION, FAMILIES, FLEXION, Fold, Observ
 from identknee.diagnosis.gain import FoldStatus, elpd_difference, held_out
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 
 # Solutions of systems with a condition number of some thousand.
 SOLVED = 1e4 * CLOSED_FORM

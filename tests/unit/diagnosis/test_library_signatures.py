@@ -10,13 +10,12 @@ from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.bundles import bundles
 from identknee.model.effects.effect import amplitudes
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.loads import compression
+from identknee.model.effects.tissues import bundles
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Knee, Ligament
 
 SD = 0.3
 

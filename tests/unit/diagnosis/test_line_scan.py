@@ -20,8 +20,8 @@ from identknee.diagnosis.missing_line import (
 )
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import load_protocol
-from identknee.model.effects.contact_law import Cartilage
 from identknee.model.effects.structures import structure_at
+from identknee.model.effects.tissues import Cartilage
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee

@@ -7,7 +7,7 @@ from diagnoses import SD, short_trials
 
 from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import LOWER, better_start, investigate
-from identknee.laxity.noise import add_noise
+from identknee.laxity.table import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee

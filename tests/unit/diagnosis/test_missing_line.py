@@ -11,9 +11,8 @@ from identknee.diagnosis.misfit import smooth_patterns
 from identknee.diagnosis.missing_line import find_line
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.diagnosis.refit import Refit
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

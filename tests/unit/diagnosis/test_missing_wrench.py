@@ -9,8 +9,7 @@ from small_knee import small_knee, small_protocol
 
 from identknee.diagnosis.misfit import TrialLayout
 from identknee.diagnosis.missing_line import MissingWrench, missing_pulls, missing_wrench
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.table import COORDINATES, Laxity, add_noise
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel

@@ -24,7 +24,7 @@ from identknee.diagnosis.verdict import (
     Verdict,
     conclude,
 )
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 ALARM = 1e-6
 

@@ -11,12 +11,10 @@ from identknee.diagnosis import advice
 from identknee.diagnosis.advice import AdviceCandidates, WhitenedRows
 from identknee.diagnosis.fitting import base_model, best_fit_from, stated_noise
 from identknee.diagnosis.isolability import AdvisedTrials
-from identknee.laxity.candidates import candidate_trials
-from identknee.laxity.protocol import load_protocol
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import Laxity
-from identknee.model.effects.toe_strain import toe_strain
-from identknee.model.shared_errors import nuisance_changes
+from identknee.laxity.protocol import candidate_trials, load_protocol
+from identknee.laxity.table import Laxity, relative_to_unloaded
+from identknee.model.effects.tissues import toe_strain
+from identknee.model.residuals import nuisance_changes
 from identknee.subject.knee import Knee
 
 

@@ -10,8 +10,7 @@ from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.refit import Refit, refit
 from identknee.diagnosis.verdict import FAR_OFF, Verdict, shift_mm, site_p_value
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel

@@ -7,15 +7,13 @@ from diagnoses import SD, short_trials
 
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects import effect as effects
-from identknee.model.effects.frames import tibia_frame
 from identknee.model.effects.loads import compression
-from identknee.model.effects.remounting import remounting
+from identknee.model.effects.readings import remounting, tibia_frame
 from identknee.model.laxity_model import LaxityModel
+from identknee.subject.knee import Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 from identknee.verbs.diagnosis import diagnosis_of
 
 SIZE = 0.5

@@ -8,10 +8,9 @@ from small_knee import small_knee, small_protocol
 
 from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import build_field
-from identknee.model.contact_geometry import ContactGeometry
-from identknee.model.effects.contact_law import Cartilage
-from identknee.model.laxity_model import LaxityModel, trial_contacts
-from identknee.model.shared_errors import (
+from identknee.model.effects.tissues import Cartilage
+from identknee.model.laxity_model import ContactGeometry, LaxityModel, trial_contacts
+from identknee.model.residuals import (
     ROUGHNESS_LENGTH,
     SurfaceBumps,
     surface_bumps,

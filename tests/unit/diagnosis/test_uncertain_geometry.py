@@ -7,13 +7,12 @@ from diagnoses import SD, short_trials
 
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
-from identknee.model.effects.frames import tibia_frame
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.loads import compression
+from identknee.model.effects.readings import tibia_frame
 from identknee.model.laxity_model import LaxityModel
+from identknee.subject.knee import Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.subject.uncertainty import Uncertainty
 
 TWO_MM = Uncertainty(insertions_mm=2.0)
 

@@ -33,7 +33,7 @@ from identknee.model.effects.library import effect_named
 from identknee.report.presenter import statements_of
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.verbs.diagnosis import diagnosis_of
 
 OTHERS = ("shank_gravity", "compression")

@@ -11,7 +11,7 @@ import pytest
 import identknee as ik
 from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import COORDINATES, PHASES
-from identknee.runs.finding_kinds import KINDS
+from identknee.runs.findings import KINDS
 from identknee.verbs.registry import verbs
 
 ROOT = Path(ik.__file__).parents[1]

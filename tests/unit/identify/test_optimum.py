@@ -6,7 +6,7 @@ from problems import ClosedForm, plain_parameters, sloppy_springs
 
 from identknee.identify.optimum import best_fit, best_fits
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 LEFT, RIGHT = -2.0, 2.0
 

@@ -15,7 +15,7 @@ from identknee.identify.profile.profile import (
     profile_quantities,
 )
 from identknee.identify.profile.result import Profile
-from identknee.runs.plain_records import from_plain, to_plain
+from identknee.runs.schema import from_plain, to_plain
 from identknee.runs.store import json_round_trip, open_work
 
 

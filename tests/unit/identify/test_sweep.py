@@ -27,7 +27,7 @@ from identknee.identify.sweep import (
     sweep,
 )
 from identknee.runs.executors import process_pool
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.store import open_work
 
 LEAST_SQUARES = 1e-5

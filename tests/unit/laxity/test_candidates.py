@@ -2,14 +2,16 @@
 
 import numpy as np
 
-from identknee.laxity.candidates import (
+from identknee.laxity.protocol import (
     COMBINED,
     FLEXION_DEG,
+    LOADS,
     SINGLE,
+    Protocol,
     candidate_trials,
+    load_protocol,
     unique_names,
 )
-from identknee.laxity.protocol import LOADS, Protocol, load_protocol
 
 
 def test_every_trial_made_comes_first_as_its_repeat() -> None:

@@ -3,15 +3,15 @@
 import numpy as np
 
 from identknee.diagnosis.investigation import trial_layout
-from identknee.laxity.dominant_load import (
+from identknee.laxity.protocol import (
+    concatenate,
     dominant_loads,
+    load_protocol,
     nominal_flexion,
     nominal_loads,
     opposite_pairs,
 )
-from identknee.laxity.named_trials import example_laxity
-from identknee.laxity.protocol import concatenate, load_protocol
-from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.table import COORDINATES, Laxity, example_laxity
 from identknee.laxity.trial_words import load_words
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from identknee.laxity.named_tables import FOLDER, TABLES, laxity_file
-from identknee.laxity.named_trials import example_laxity
-from identknee.laxity.table import COORDINATES, Laxity, read_laxity, write_laxity
+from identknee.laxity.table import COORDINATES, Laxity, example_laxity, read_laxity, write_laxity
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from identknee.laxity.named_trials import read_tests, read_trials
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, read_tests, read_trials
 from identknee.laxity.trial_words import laxity_groups
 from identknee.runs.errors import InputError
 

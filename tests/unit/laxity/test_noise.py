@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.runs.arrays import Array
 
 N = 20_000

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.laxity.protocol import load_protocol
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, laxity_rmse
 
 
 def drawer(coordinates: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Laxity:

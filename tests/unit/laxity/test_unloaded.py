@@ -3,10 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import Laxity
-from identknee.laxity.zero_conventions import from_zero, unloaded_trials
+from identknee.laxity.protocol import Protocol, from_zero, load_protocol, unloaded_trials
+from identknee.laxity.table import Laxity, relative_to_unloaded
 
 
 def example() -> Laxity:

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.table import Laxity, read_laxity, write_laxity
-from identknee.laxity.zero_conventions import from_zero, zero_of_added_trials, zero_trials
+from identknee.laxity.protocol import (
+    Protocol,
+    from_zero,
+    load_protocol,
+    zero_of_added_trials,
+    zero_trials,
+)
+from identknee.laxity.table import Laxity, laxity_rmse, read_laxity, write_laxity
 from identknee.runs.errors import InputError
 
 HEADER = "trial,flexion_deg,anterior_force_N,anterior_drawer_mm\n"

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from identknee.mechanics.contact_elements import effective_depth
-from identknee.mechanics.contact_law import (
+from identknee.mechanics.distance_field import (
     MOST_ROUNDING,
     PRESSURE_MODULUS,
     REFERENCE_DEPTH,

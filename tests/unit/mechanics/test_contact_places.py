@@ -8,10 +8,9 @@ from evaluation import NO_LOAD, Evaluator, field_values
 from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.mechanics.contact_law import MOST_ROUNDING, ContactLaw
 from identknee.mechanics.contact_points import contact_places, distances
-from identknee.model.contact_geometry import ContactGeometry, contact_geometry
-from identknee.model.laxity_model import LaxityModel
+from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw
+from identknee.model.laxity_model import ContactGeometry, LaxityModel, contact_geometry
 from identknee.runs.arrays import Array
 
 

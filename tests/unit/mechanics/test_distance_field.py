@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from evaluation import field_values
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.distance_field import PADDING, DistanceField, build_field
+from identknee.mechanics.distance_field import MOST_ROUNDING, PADDING, DistanceField, build_field
 from identknee.mechanics.memory import FIRST_ROUNDED
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array, BoolArray, IntArray

@@ -7,7 +7,7 @@ import pytest
 from evaluation import SCALE, Evaluator, random_parameters
 from tolerances import CLOSED_FORM, DIFFERENCE, RESIDUAL_N
 
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
+from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.mechanics.equilibria import (
     TRANSITION_STRAIN,
     ContactPoints,

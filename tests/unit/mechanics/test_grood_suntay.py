@@ -5,12 +5,12 @@ import pytest
 from evaluation import central_difference
 from tolerances import CLOSED_FORM
 
-from identknee.mechanics.grood_suntay import (
+from identknee.mechanics.pose import (
     coordinate_jacobian,
     coordinates_from_pose,
     pose_from_coordinates,
+    rotation_matrix,
 )
-from identknee.mechanics.pose import rotation_matrix
 from identknee.runs.arrays import Array
 
 # Central differences with a step of 1e-6 of functions that are smooth and of size 100.

@@ -6,7 +6,7 @@ import pytest
 from evaluation import SCALE, Evaluator, ligaments_of
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.elements import line_force, line_shape, tension
 from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.model.laxity_model import LaxityModel

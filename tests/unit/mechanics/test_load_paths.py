@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identknee.mechanics.load_paths import LoadPaths, load_paths
+from identknee.mechanics.equilibria import LoadPaths, load_paths
 from identknee.runs.arrays import Array
 
 DEGREE = np.pi / 180.0

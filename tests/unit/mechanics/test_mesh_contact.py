@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from identknee.mechanics.contact_law import PRESSURE_MODULUS
+from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.mechanics.mesh_contact import (
     DEEPEST,
     Convention,

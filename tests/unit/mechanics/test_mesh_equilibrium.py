@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.equilibria import LineLigaments, LoadPaths, load_paths
 from identknee.mechanics.ligament_tensions import ligament_wrench
-from identknee.mechanics.load_paths import LoadPaths, load_paths
 from identknee.mechanics.mesh_contact import (
     RESIDUAL_TOLERANCE,
     MeshContact,
@@ -15,7 +14,7 @@ from identknee.mechanics.mesh_contact import (
 )
 from identknee.mechanics.pose import place
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 FEMORAL = np.array([[3.0, 5.0, 8.0], [-3.0, 5.0, -8.0], [0.0, 12.0, 38.0], [0.0, 12.0, -38.0]])
 TIBIAL = np.array([[-12.0, -20.0, 2.0], [12.0, -20.0, -2.0], [4.0, -40.0, 40.0], [4.0, -50.0, -36]])

@@ -7,10 +7,9 @@ import pytest
 from narrow_knee import narrow_knee
 from small_knee import small_knee, small_protocol
 
-from identknee.laxity.noise import add_noise
 from identknee.laxity.protocol import Protocol, concatenate, load_protocol
-from identknee.laxity.table import Laxity
-from identknee.model import contact_geometry as joint
+from identknee.laxity.table import Laxity, add_noise
+from identknee.model import laxity_model as joint
 from identknee.model.candidate_laxity import CandidateLaxity, typical_errors, with_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals

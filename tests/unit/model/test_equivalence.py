@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.laxity.rmse import laxity_rmse
-from identknee.laxity.table import COORDINATES
-from identknee.model.equivalence import PAPER_LIMITS, rms_blocks
+from identknee.laxity.table import COORDINATES, laxity_rmse
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
+from identknee.model.residuals import PAPER_LIMITS, LaxityResiduals, rms_blocks
 
 
 def test_blocks_are_mean_squares_over_their_limits(reference_model: LaxityModel) -> None:

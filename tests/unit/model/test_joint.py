@@ -11,11 +11,10 @@ from small_knee import BOTTOM, CENTRES, RADII, small_knee
 from tolerances import CLOSED_FORM
 
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model import contact_geometry as module
-from identknee.model.contact_geometry import contact_geometry, contact_sheets
+from identknee.model import laxity_model as module
+from identknee.model.laxity_model import contact_geometry, contact_sheets
 from identknee.runs.arrays import Array
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Frame, Knee
 from identknee.subject.reference import reference_knee
 
 

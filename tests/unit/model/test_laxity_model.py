@@ -14,15 +14,13 @@ from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
-from identknee.mechanics.grood_suntay import coordinates_from_pose
-from identknee.mechanics.pose import rotation_matrix
-from identknee.model import contact_geometry as joint
+from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
+from identknee.model import laxity_model as joint
 from identknee.model.effects.loads import compression
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import OUTCOMES, Prediction
+from identknee.model.laxity_model import OUTCOMES, LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
 
 N_WIDE = 100

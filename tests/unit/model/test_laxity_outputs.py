@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, from_zero
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.zero_conventions import from_zero
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.quantities import LaxityOutputs

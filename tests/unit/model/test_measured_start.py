@@ -8,11 +8,11 @@ from small_knee import small_knee, small_protocol
 
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.laxity.table import Laxity, read_laxity
-from identknee.mechanics.grood_suntay import coordinates_from_pose
+from identknee.mechanics.pose import coordinates_from_pose
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.measured_start import measured_poses, poses_of, strains_as_measured
-from identknee.runs.outcome import Outcome
+from identknee.model.mechanics_inputs import measured_poses, poses_of, strains_as_measured
+from identknee.runs.record import Outcome
 from identknee.subject.knee import pose_at
 
 

@@ -7,10 +7,9 @@ import pytest
 
 import identknee as ik
 from identknee.laxity.table import Laxity
-from identknee.mechanics.load_paths import NEAR
+from identknee.mechanics.equilibria import NEAR
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Knee, Uncertainty
 
 
 @pytest.fixture(scope="module")

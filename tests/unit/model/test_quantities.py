@@ -11,7 +11,7 @@ from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM
 
 from identknee.laxity.protocol import Protocol
-from identknee.model import contact_geometry as joint
+from identknee.model import laxity_model as joint
 from identknee.model import quantities
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import (

@@ -8,10 +8,8 @@ import pytest
 from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE
 
-from identknee.laxity.noise import add_noise
-from identknee.laxity.rmse import relative_to_unloaded
-from identknee.laxity.table import Laxity
-from identknee.model import contact_geometry as joint
+from identknee.laxity.table import Laxity, add_noise, relative_to_unloaded
+from identknee.model import laxity_model as joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array

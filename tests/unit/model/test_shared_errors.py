@@ -8,9 +8,8 @@ from small_knee import small_knee, small_protocol
 
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.shared_errors import has_shared_errors, shared_errors
-from identknee.subject.uncertainty import EXACTLY, Uncertainty
+from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
+from identknee.subject.knee import EXACTLY, Uncertainty
 
 
 def uncertain(stated: Uncertainty) -> LaxityModel:

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 from small_knee import small_knee, small_protocol
 
-from identknee.model.knee_parameters import tied
-from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import LigamentGroup
+from identknee.model.laxity_model import LaxityModel, tied
+from identknee.subject.knee import Knee, LigamentGroup
 
 
 def grouped() -> Knee:

@@ -3,8 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from identknee.laxity.candidates import candidate_trials
-from identknee.laxity.protocol import load_protocol
+from identknee.laxity.protocol import candidate_trials, load_protocol
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
 
 

@@ -28,7 +28,7 @@ from identknee.report.diagnosis_figures import (
 from identknee.report.figures import png
 from identknee.report.presenter import statements_of
 from identknee.runs.array_groups import groups_of
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.subject.insertion_sites import name_of_place
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee

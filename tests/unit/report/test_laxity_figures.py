@@ -5,9 +5,8 @@ from figure_checks import clipped, empty_axes, overlapping
 from figure_checks import drawn as drawn_by
 from report_folders import few_trials
 
-from identknee.laxity.named_trials import example_laxity
 from identknee.laxity.protocol import LOADS, Protocol
-from identknee.laxity.table import COORDINATES
+from identknee.laxity.table import COORDINATES, example_laxity
 from identknee.report.figures import vector
 from identknee.report.laxity_figures import (
     LaxityCurves,

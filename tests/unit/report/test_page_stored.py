@@ -8,7 +8,7 @@ from diagnoses import FRAME, answered
 from report_folders import diagnosis_folder, profile_folder, straight_profiles
 
 from identknee.runs.files import plain
-from identknee.runs.plain_records import to_plain
+from identknee.runs.schema import to_plain
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import load
 from identknee.verbs.profile import Profiles

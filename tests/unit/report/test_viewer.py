@@ -11,15 +11,14 @@ from posed_knees import NAMES, posed_reference
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.trial_words import setting_words
-from identknee.mechanics.contact_law import ContactLaw
 from identknee.mechanics.contact_points import contact_places
+from identknee.mechanics.distance_field import ContactLaw
 from identknee.model.effects.library import effect_named
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.prediction import Prediction
+from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.quantities import tensions_of
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 LIMIT = 600_000  # bytes of a scene
 PLACES = 1e-3  # mm, as near as drawn places are to those of the model

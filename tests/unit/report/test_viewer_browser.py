@@ -13,7 +13,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
 from identknee.runs.arrays import Array
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 plotly = pytest.importorskip("plotly.offline", reason="plotly is not installed")

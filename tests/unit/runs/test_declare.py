@@ -14,7 +14,7 @@ from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import plain
-from identknee.runs.plain_records import from_plain, summary_of, to_plain
+from identknee.runs.schema import from_plain, summary_of, to_plain
 
 
 class Colour(Enum):

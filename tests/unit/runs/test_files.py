@@ -18,7 +18,7 @@ from identknee.runs.files import (
     write_atomically,
     write_json,
 )
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 
 
 def names(folder: Path) -> list[str]:

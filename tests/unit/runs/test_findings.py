@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import identknee as ik
-from identknee.runs.finding_kinds import KINDS
 from identknee.runs.findings import (
+    KINDS,
     Finding,
     Severity,
     by_severity,
@@ -17,7 +17,7 @@ from identknee.runs.findings import (
     invalidating,
     without_repeats,
 )
-from identknee.runs.plain_records import from_plain, summary_of
+from identknee.runs.schema import from_plain, summary_of
 
 PACKAGE = Path(ik.__file__).parent
 MAKERS = {"finding", "geometry_finding", "trial_findings"}

@@ -17,7 +17,7 @@ import pytest
 from identknee.runs import store as resume
 from identknee.runs.errors import InputError
 from identknee.runs.executors import WorkerTerminated, process_pool, threads
-from identknee.runs.outcome import Outcome
+from identknee.runs.record import Outcome
 from identknee.runs.store import finish_work, open_work, resumable_map
 
 ABOUT = {

@@ -13,8 +13,7 @@ from identknee.runs.errors import InputError
 from identknee.runs.findings import Severity
 from identknee.subject.check import GeometryFinding, check_geometry, fatal_geometry_findings
 from identknee.subject.folder import example, read_subject, write_subject
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee, Landmark, Side
+from identknee.subject.knee import Frame, Knee, Landmark, Side
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, joined
 

@@ -9,9 +9,8 @@ import pytest
 from posed_knees import posed_reference
 
 from identknee.runs.errors import InputError
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.knee import Knee, Side
+from identknee.subject.knee import EffectChoice, Knee, Side
 from identknee.subject.reference import reference_knee
 
 LINE = (np.array([1.0, 2.0, 3.0]), np.array([4.0, -5.0, 6.0]))

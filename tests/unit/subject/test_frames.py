@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import Array
-from identknee.subject.frames import Frame, angle_between, frames_from_landmarks
+from identknee.subject.knee import Frame, angle_between, frames_from_landmarks
 
 CLOSED_FORM = 1e-12  # a few roundings
 PLACE = 1e-10  # mm; roundings of coordinates of several hundred mm

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from posed_knees import posed_reference
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
+from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.subject.knee import MOST_CONTACT_ROUNDING, Knee, Landmark
 from identknee.subject.reference import reference_knee
 

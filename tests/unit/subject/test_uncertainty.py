@@ -9,7 +9,7 @@ from small_knee import small_knee
 
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.uncertainty import EXACTLY, StatedPrior, Uncertainty, with_stated_uncertainty
+from identknee.subject.knee import EXACTLY, StatedPrior, Uncertainty, with_stated_uncertainty
 from identknee.verbs.verb import knee_digest
 
 TILTED = ((4.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 1.0))

@@ -12,8 +12,8 @@ import identknee as ik
 from identknee.runs.array_groups import groups_of
 from identknee.runs.declare import declared, derived_entries, entries, entry
 from identknee.runs.errors import InputError
-from identknee.runs.plain_records import record_within, summary_of, type_hints_of
 from identknee.runs.record import record
+from identknee.runs.schema import record_within, summary_of, type_hints_of
 from identknee.verbs import registry
 from identknee.verbs.files import load, write_answer
 from identknee.verbs.profile import Profiles

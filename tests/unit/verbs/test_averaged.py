@@ -8,12 +8,10 @@ import pytest
 from tolerances import CLOSED_FORM
 
 import identknee as ik
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import serial
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import with_stated_uncertainty
+from identknee.subject.knee import Knee, with_stated_uncertainty
 from identknee.verbs.identification import Identification, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 

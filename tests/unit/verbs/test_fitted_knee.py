@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.subject.effect_choice import EffectChoice
+from identknee.subject.knee import EffectChoice
 from identknee.verbs.fitted_knee import fitted_knee, knee_as_fitted
 
 SAME = 1e-9  # mm and deg; the same simulation of the same numbers

@@ -7,8 +7,7 @@ import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity
+from identknee.laxity.table import Laxity, add_noise
 from identknee.verbs.fit import split
 
 HELD = ["trial 2", "trial 7", "trial 9"]

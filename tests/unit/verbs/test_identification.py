@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identknee.laxity.noise import add_noise
-from identknee.laxity.table import Laxity, read_laxity, write_laxity
+from identknee.laxity.table import Laxity, add_noise, read_laxity, write_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import serial

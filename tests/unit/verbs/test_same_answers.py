@@ -11,7 +11,7 @@ from cli_runs import run, said, short_protocol
 import identknee as ik
 from identknee.report.export import export_subject
 from identknee.runs.files import plain
-from identknee.runs.plain_records import summary_of
+from identknee.runs.schema import summary_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import load
 

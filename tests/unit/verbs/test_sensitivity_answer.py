@@ -15,7 +15,7 @@ from identknee.model.parameters import ligament_parameters
 from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
-from identknee.runs.plain_records import summary_of, to_plain
+from identknee.runs.schema import summary_of, to_plain
 from identknee.verbs.files import load
 from identknee.verbs.sensitivity import GlobalSensitivity
 

@@ -16,7 +16,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.report.printer import terminal_lines
 from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
-from identknee.runs.plain_records import summary_of, to_plain
+from identknee.runs.schema import summary_of, to_plain
 from identknee.subject.knee import Knee
 from identknee.verbs.files import load
 from identknee.verbs.sweep import Sweep, trials_lost

@@ -11,7 +11,7 @@ from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE, SAME_POSE
 
 from identknee.laxity.protocol import Protocol
-from identknee.model import contact_geometry as joint
+from identknee.model import laxity_model as joint
 from identknee.model.effects.facts import FACTS, NOT_OFFERED
 from identknee.model.effects.library import effect_named, library
 from identknee.model.laxity_model import LaxityModel

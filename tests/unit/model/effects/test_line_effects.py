@@ -9,13 +9,12 @@ from tolerances import SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.ligament_tensions import line_lengths
-from identknee.model import contact_geometry as joint
+from identknee.model import laxity_model as joint
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import tensions_of
 from identknee.subject.anatomy import anatomy
-from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
+from identknee.subject.knee import Knee, Ligament
 
 
 @pytest.fixture

@@ -10,8 +10,14 @@ from identknee.laxity.table import COORDINATES
 from identknee.mechanics.pose import angles_of, rotation_matrix
 from identknee.model.effects.effect import ReadingError
 from identknee.model.effects.effect import TrialRecord as AsRun
-from identknee.model.effects.frames import femur_frame, tibia_frame
-from identknee.model.effects.history import creep, drift, hysteresis, rig_compliance
+from identknee.model.effects.readings import (
+    creep,
+    drift,
+    femur_frame,
+    hysteresis,
+    rig_compliance,
+    tibia_frame,
+)
 from identknee.runs.arrays import Array
 
 N = 5

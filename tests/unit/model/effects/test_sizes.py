@@ -124,7 +124,7 @@ def test_bundles_are_inserted_as_far_apart_as_a_footprint_is_wide(reference: Kne
 
 def test_contact_grows_with_a_power_between_a_foundation_and_a_sphere() -> None:
     """1 for an elastic foundation, which the model has; 1.5 for Hertz' sphere."""
-    from identknee.model.effects.contact_law import Cartilage
+    from identknee.model.effects.tissues import Cartilage
 
     p = Cartilage().parameters
     assert FEWEST_SDS <= 0.5 / p.prior_sd[1] <= MOST_SDS

@@ -11,9 +11,8 @@ from small_knee import small_knee, small_protocol
 from tolerances import SAME_POSE
 
 from identknee.calibrate.starts import named_start
-from identknee.model import contact_geometry as joint
-from identknee.model.effects.library import effect_named, library
-from identknee.model.effects.stored import choice_of, effects_of, values_of
+from identknee.model import laxity_model as joint
+from identknee.model.effects.library import choice_of, effect_named, effects_of, library, values_of
 from identknee.model.effects.structures import (
     MissingStructure,
     PosteriorCapsule,
@@ -22,9 +21,8 @@ from identknee.model.effects.structures import (
 )
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
-from identknee.subject.effect_choice import EffectChoice
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.knee import Knee, Side
+from identknee.subject.knee import EffectChoice, Knee, Side
 
 PLACE = 1e-9  # mm; roundings of coordinates of several hundred mm
 

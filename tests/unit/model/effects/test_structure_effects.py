@@ -5,9 +5,9 @@ import pytest
 from line_gradient import line_gradient
 
 from identknee.laxity.protocol import Protocol
-from identknee.model.effects.contact_law import Meniscus
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import PosteriorCapsule, lines_of, structure
+from identknee.model.effects.tissues import Meniscus
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee

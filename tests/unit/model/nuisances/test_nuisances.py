@@ -7,17 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee, small_protocol
 
-from identknee.mechanics.contact_law import MOST_ROUNDING
-from identknee.mechanics.grood_suntay import pose_from_coordinates
+from identknee.mechanics.distance_field import MOST_ROUNDING
+from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import frames_at
 from identknee.model.nuisances import contact_rounding, insertions, nuisances_of
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
-from identknee.subject.frames import Frame
-from identknee.subject.knee import Knee
-from identknee.subject.uncertainty import Uncertainty
+from identknee.subject.knee import Frame, Knee, Uncertainty
 
 EVERYTHING = Uncertainty(
     insertions_mm=2.0,

@@ -1,0 +1,234 @@
+"""Effects on what is read: frames, the rig, the order and phase of trials, remounting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from identknee.laxity.protocol import LOADS
+from identknee.laxity.table import COORDINATES, PHASES, ROTATIONS, TRANSLATIONS
+from identknee.mechanics.pose import (
+    angles_of,
+    coordinates_from_pose,
+    pose_from_coordinates,
+    rotation_matrix,
+)
+from identknee.model.effects.effect import (
+    InputsChange,
+    ReadingError,
+    ReplicaReadingError,
+    TrialRecord,
+    amplitudes,
+)
+from identknee.model.effects.facts import REMOUNTING
+from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.runs.arrays import Array, IntArray
+from identknee.subject.knee import Knee
+
+FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg
+
+
+def femur_frame() -> ReplicaReadingError:
+    """The femur's axes, as the rig has them, turned about their x and y [deg].
+
+    A turn about z is an offset of flexion. Cross-talk of 1 to 5 deg between flexion and the other
+    rotations is usual where axes come from landmarks; an estimate.
+    """
+    made = amplitudes("femur_frame", ["x_deg", "y_deg"], 2 * [FRAME_SD], upper=2 * [FRAME_LIMIT])
+    return ReplicaReadingError(name="femur_frame", parameters=made, read=_from_turned_femur)
+
+
+def tibia_frame() -> ReplicaReadingError:
+    """The tibia's axes, as the rig has them, turned about their x, y and z [deg]."""
+    names = ["x_deg", "y_deg", "z_deg"]
+    made = amplitudes("tibia_frame", names, 3 * [FRAME_SD], upper=3 * [FRAME_LIMIT])
+    return ReplicaReadingError(name="tibia_frame", parameters=made, read=_of_turned_tibia)
+
+
+def flexion_offset() -> InputsChange:
+    """How much more the knee was flexed than stated [deg]; 1 to 4 deg is an estimate."""
+    made = amplitudes("flexion_offset", ["flexion_deg"], [2.0], upper=[8.0])
+    return InputsChange(name="flexion_offset", parameters=made, changed=_flexed)
+
+
+def _from_turned_femur(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    about_x_y = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
+    return _read(coordinates, tests, _turns(about_x_y), _turns(np.zeros(3)))
+
+
+def _of_turned_tibia(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    return _read(coordinates, tests, _turns(np.zeros(3)), _turns(values))
+
+
+def _turns(values: Array) -> Array:
+    """Rotation matrices of vectors (3,) or (k, 3) [deg], shape ``(3, 3, k)``."""
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_rotvec(np.radians(np.atleast_2d(values))).as_matrix()
+    return np.asarray(np.moveaxis(turns, 0, 2))
+
+
+def _read(coordinates: Array, tests: TrialRecord, femur: Array, tibia: Array) -> Array:
+    """Coordinates between frames turned from the true ones, their origins where they are.
+
+    The tibial origin is the same point, but its components are those along the axes that the rig
+    has: femoral z, tibial y and the perpendicular to both. The turns, shape ``(3, 3, k)``, are
+    those of k equal parts of the coordinates.
+    """
+    n = len(coordinates)
+    femur, tibia = (np.repeat(x, n // x.shape[2], axis=2) for x in (femur, tibia))
+    pose, flexion = pose_from_coordinates(coordinates), np.radians(tests.flexion_deg)
+    actual = rotation_matrix(flexion, pose[:, 0], pose[:, 1])
+    turned = np.einsum("ikn,kln->iln", np.einsum("jin,jkn->ikn", femur, actual), tibia)
+    read_flexion, varus, internal = angles_of(turned)
+    none = np.zeros(n)
+    origin = np.einsum("ikn,nk->in", rotation_matrix(flexion, none, none), pose[:, 2:])
+    origin = np.einsum("jin,jn->in", femur, origin)
+    in_turned_axes = np.einsum("jin,jn->in", rotation_matrix(read_flexion, none, none), origin)
+    return coordinates_from_pose(np.column_stack([varus, internal, *in_turned_axes]))
+
+
+def _flexed(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+    return replace(setting, flexion=setting.flexion + np.radians(values[0]))
+
+
+# Column of the moment and of the angle that goes with it.
+COLUMNS = {
+    "IE": (LOADS.index("internal_moment_Nm"), COORDINATES.index("internal_deg")),
+    "VV": (LOADS.index("varus_moment_Nm"), COORDINATES.index("varus_deg")),
+}
+
+
+def rig_compliance(axis: str) -> ReadingError:
+    """Rotation of the rig itself about one axis, ``"IE"`` or ``"VV"`` [deg/N·m].
+
+    In proportion to the stated moment and alike at all angles of flexion. 0.01 to 0.05 deg/N·m for
+    pins in bone and 0.2 to 1 deg/N·m for a boot are estimates.
+    """
+    name = f"rig_compliance_{axis}"
+    made = amplitudes(name, ["compliance_deg_per_Nm"], [0.1], lower=[0.0], upper=[1.0])
+    return ReadingError(name=name, parameters=made, read=partial(_with_rig_compliance, axis))
+
+
+def _with_rig_compliance(axis: str, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    load, angle = COLUMNS[axis]
+    read = np.array(coordinates)
+    read[:, angle] += values[0] * tests.loads[:, load]
+    return read
+
+
+LOADING, UNLOADING = PHASES
+FULL_MOMENT = 10.0  # N·m
+AXES = tuple(COLUMNS)
+
+
+def hysteresis() -> ReadingError:
+    """Width of the loops of internal and varus rotation [deg].
+
+    Under a growing load the knee is half a width behind, under a falling one half a width ahead. A
+    trial of neither phase is on neither side. 0.3 to 3 deg is an estimate.
+    """
+    names = [f"{axis}_deg" for axis in AXES]
+    made = amplitudes("hysteresis", names, [1.0, 1.0], lower=[0.0, 0.0], upper=[8.0, 8.0])
+    return ReadingError(name="hysteresis", parameters=made, read=_with_hysteresis)
+
+
+def creep() -> ReadingError:
+    """Growth of internal and varus rotation under load [deg per e-fold of the trials made].
+
+    At 10 N·m, and in proportion to the moment: the longer a knee has been tested, the further it
+    gives way, with the logarithm of the time as soft tissue does. The size is an estimate.
+    """
+    names = [f"{axis}_deg" for axis in AXES]
+    made = amplitudes("creep", names, [0.5, 0.5], lower=[0.0, 0.0], upper=[3.0, 3.0])
+    return ReadingError(name="creep", parameters=made, read=_with_creep)
+
+
+def drift() -> ReadingError:
+    """Change of each reading from the first trial to the last [mm, deg].
+
+    In proportion to `order`, and nothing halfway: a part that is the same in all trials is no
+    drift. 0.1 to 1 mm or deg is an estimate.
+    """
+    n = len(COORDINATES)
+    made = amplitudes("drift", COORDINATES, n * [0.5], upper=n * [4.0])
+    return ReadingError(name="drift", parameters=made, read=_with_drift)
+
+
+def _with_hysteresis(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    if tests.phase is None:
+        raise ValueError(
+            "hysteresis needs to know which trials were loading and which unloading; add a column "
+            "phase to the laxity table, or leave the effect out"
+        )
+    phase = np.array(tests.phase)
+    ahead = 0.5 * ((phase == UNLOADING).astype(float) - (phase == LOADING))
+    return _turned(coordinates, values, ahead[:, None] * np.sign(_moments(tests)))
+
+
+def _with_creep(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    order = _order("creep", tests)
+    grown = np.log(order - order.min() + 1.0)
+    return _turned(coordinates, values, grown[:, None] * _moments(tests) / FULL_MOMENT)
+
+
+def _with_drift(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    order = _order("drift", tests)
+    share = (order - order.min()) / max(int(np.ptp(order)), 1)
+    drifted: Array = coordinates + (share[:, None] - 0.5) * values
+    return drifted
+
+
+def _order(cause: str, tests: TrialRecord) -> IntArray:
+    if tests.order is None:
+        raise ValueError(
+            f"{cause} needs to know in which order the trials were made; add a column order to the "
+            "laxity table, or leave the effect out"
+        )
+    return tests.order
+
+
+def _moments(tests: TrialRecord) -> Array:
+    """Stated moments of `AXES` [N·m], shape ``(n, 2)``."""
+    return np.asarray(tests.loads[:, [load for load, _ in COLUMNS.values()]])
+
+
+def _turned(coordinates: Array, values: Array, shape: Array) -> Array:
+    """Readings with amplitudes times `shape` (n, 2) added to the angles of `AXES`."""
+    read = np.array(coordinates)
+    read[:, [angle for _, angle in COLUMNS.values()]] += shape * values
+    return read
+
+
+# mm and deg: an estimate of how well a knee comes back to where it was, and the most it may miss.
+ZERO_SD, FARTHEST = 0.5, 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Remounting(ReplicaReadingError):  # noqa: N818 - an error of reading
+    """Offsets of the five coordinates at every flexion angle [mm, deg]."""
+
+    def applied(self, knee: Knee, values: Array) -> Knee:
+        """The knee with stated zero errors of the size found, to be marginalised."""
+        offsets = values.reshape(-1, len(COORDINATES))
+        mm, deg = (float(np.sqrt(np.mean(offsets[:, x] ** 2))) for x in (TRANSLATIONS, ROTATIONS))
+        return knee.with_uncertainty(replace(knee.uncertainty, zero_mm=mm, zero_deg=deg))
+
+
+def remounting(angles: Sequence[float]) -> Remounting:
+    """Offsets of every coordinate at these flexion angles [deg]; elsewhere there are none."""
+    names = [f"flexion{angle:g}_{name}" for angle in angles for name in COORDINATES]
+    n = len(names)
+    made = amplitudes(REMOUNTING, names, n * [ZERO_SD], upper=n * [FARTHEST])
+    return Remounting(name=REMOUNTING, parameters=made, read=partial(_offset, np.array(angles)))
+
+
+def _offset(angles: Array, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
+    offsets = values.reshape(*values.shape[:-1], len(angles), len(COORDINATES))
+    is_there = tests.flexion_deg[:, None] == angles
+    if values.ndim == 1:
+        return np.asarray(coordinates + is_there @ offsets)
+    copies = is_there.reshape(len(values), -1, len(angles))
+    return np.asarray(coordinates + (copies @ offsets).reshape(coordinates.shape))
