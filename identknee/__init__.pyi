@@ -26,7 +26,7 @@ from .model.effects.library import effect_named as effect_named
 from .model.laxity_model import LaxityModel as LaxityModel
 from .model.parameters import Parameters as Parameters
 from .model.residuals import LaxityResiduals as LaxityResiduals
-from .report.interactive_scene import scene_3d as scene_3d
+from .report.notebook import scene_3d as scene_3d
 from .report.scene import scene as scene
 from .runs.errors import InputError as InputError
 from .runs.record import Outcome as Outcome

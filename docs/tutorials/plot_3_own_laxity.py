@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import identknee as ik
-from identknee.report.profile_figures import profiles_figure
+from identknee.report.parameter_figures import profiles_figure
 
 folder = Path(tempfile.mkdtemp())
 knee = ik.reference_knee()

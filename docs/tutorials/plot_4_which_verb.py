@@ -12,9 +12,7 @@ import identknee as ik
 from identknee.calibrate.fit import fit
 from identknee.identify.equivalents import equivalents
 from identknee.identify.information import information as fisher_information
-from identknee.report.equivalents_figures import ranges_figure
-from identknee.report.information_figures import spectrum_figure
-from identknee.report.profile_figures import intervals_figure
+from identknee.report.parameter_figures import intervals_figure, ranges_figure, spectrum_figure
 from identknee.report.sweep_figures import waterfall_figure
 
 knee = ik.reference_knee()

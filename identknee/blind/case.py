@@ -62,8 +62,7 @@ class Noise:
         np.fill_diagonal(shared, 1.0)
         sd = np.array([self.sd_mm] * 3 + [self.sd_deg] * 2)
         inverse = np.linalg.inv(np.linalg.cholesky(sd[:, None] * shared * sd))
-        white: Array = np.einsum("ij,nj...->ni...", inverse, values)
-        return white
+        return np.asarray(np.einsum("ij,nj...->ni...", inverse, values))
 
 
 @declared
@@ -146,9 +145,7 @@ def amplitude_for_signal(
         Signal to reach, and the end of the search.
     """
     found = _searched(projected, wanted, FIRST_SHARE * largest, largest)
-    if found is None:
-        return None
-    return _searched(fitted, wanted, found.amplitude, largest)
+    return None if found is None else _searched(fitted, wanted, found.amplitude, largest)
 
 
 def _searched(
@@ -305,7 +302,11 @@ def blind_case(
         if found is None or not contact_stays_inside(found.own, found.run, rims_of(actual)):
             found, redraws = None, redraws + 1
     if found is None:
-        raise _draw_failed_error(names, knee)
+        raise ValueError(
+            f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
+            f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
+            "smaller loads"
+        )
     tells_order = bool(HISTORY & set(names)) or streams[1].random() < ORDER_SHARE
     exact = Laxity(
         protocol=protocol,
@@ -324,14 +325,6 @@ def blind_case(
         truth=replace(truth, stated_errors=true_errors(knee, actual, off)),
         noise_free=exact,
         tensions=tensions(found.own, found.run, scene.n_lines),
-    )
-
-
-def _draw_failed_error(names: Sequence[str], knee: Knee) -> ValueError:
-    return ValueError(
-        f"{MOST_DRAWS} draws of {' and '.join(names) or 'parameters'} left a trial without "
-        f"equilibrium on the knee {knee.name}; choose another effect, a smaller signal or "
-        "smaller loads"
     )
 
 

@@ -186,8 +186,7 @@ class Conditions:
         """The error of each trial that its flexion angle has in common [mm, deg], ``(n, 5)``."""
         sd = np.repeat([self.remount_mm, self.remount_deg], [3, 2])
         angles, number = np.unique(flexion_deg, return_inverse=True)
-        errors: Array = (sd * generator.standard_normal((len(angles), 5)))[number.ravel()]
-        return errors
+        return np.asarray((sd * generator.standard_normal((len(angles), 5)))[number.ravel()])
 
 
 STANDARD = Conditions()

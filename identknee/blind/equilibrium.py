@@ -2,12 +2,7 @@
 
 import numpy as np
 
-from identknee.blind.energy import (
-    about_flexion_axis,
-    candidates,
-    energy_of,
-    moved,
-)
+from identknee.blind.energy import about_flexion_axis, candidates, energy_of, moved
 from identknee.runs.compiling import compiled
 
 FORCE_TOLERANCE = 2e-6

@@ -210,8 +210,7 @@ def _acting(protocol: Protocol) -> Array:
 
 
 def _flexion(experiment: Experiment) -> Array:
-    angles: Array = np.radians(experiment.protocol.flexion_deg) + experiment.flexion_offset
-    return angles
+    return np.asarray(np.radians(experiment.protocol.flexion_deg) + experiment.flexion_offset)
 
 
 def _read(experiment: Experiment, poses: list[tuple[Array, Array] | None]) -> Array:
@@ -322,8 +321,7 @@ def _line_parameter_derivatives(R: Array, t: Array, lines: Array) -> Array:
         force, rise, _ = energy.smooth_tension(strain, line[TOE])
         unit = np.r_[axes @ np.cross(arm, slope) / energy.LEVER, slope]
         columns.append((1000.0 * force * unit, 0.01 * line[STIFFNESS] * rise * stretch * unit))
-    slopes: Array = np.array(columns).transpose(2, 1, 0).reshape(5, -1)
-    return slopes
+    return np.asarray(np.array(columns).transpose(2, 1, 0).reshape(5, -1))
 
 
 def tensions(experiment: Experiment, run: ExperimentRun, n_lines: int) -> Array:

@@ -50,7 +50,10 @@ def distance_grid(knee: Knee) -> DistanceGrid:
     local = Surface(vertices=knee.femur_frame.to_local(knee.femur.vertices), faces=knee.femur.faces)
     origin = local.vertices.min(axis=0) - BAND_MM - 2.0 * SPACING_MM
     counts = np.ceil((local.vertices.max(axis=0) + BAND_MM - origin) / SPACING_MM) + 2.0
-    path = _cache_file(knee, local)
+    name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {BAND_MM} {NEIGHBOURS} {WIDTH}".encode())
+    name.update(local.vertices.tobytes() + local.faces.tobytes())
+    name.update(repr(knee.femur_distance).encode() if knee.femur_distance is not None else b"")
+    path = cache_folder() / "blind" / f"femur-{name.hexdigest()[:24]}.npy"
     values = _kept(path)
     if values is None:
         nodes = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
@@ -71,8 +74,7 @@ def vertex_normals(surface: Surface) -> Array:
     for corner in range(3):
         np.add.at(total, surface.faces[:, corner], weighted)
     length = np.linalg.norm(total, axis=1)
-    normals: Array = total / np.where(length > 0.0, length, 1.0)[:, None]
-    return normals
+    return np.asarray(total / np.where(length > 0.0, length, 1.0)[:, None])
 
 
 def _from_vertices(surface: Surface, places: Array) -> Array:
@@ -104,15 +106,7 @@ def _averaged(
     excess = distance**2 - distance[:, :1] ** 2
     weights = np.exp(-excess / (WIDTH * edge * (1.0 + distance[:, :1])) ** 2)
     heights = ((places[:, None] - surface.vertices[around]) * normals[around]).sum(axis=2)
-    mean: Array = (weights * heights).sum(axis=1) / weights.sum(axis=1)
-    return mean
-
-
-def _cache_file(knee: Knee, local: Surface) -> Path:
-    name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {BAND_MM} {NEIGHBOURS} {WIDTH}".encode())
-    name.update(local.vertices.tobytes() + local.faces.tobytes())
-    name.update(repr(knee.femur_distance).encode() if knee.femur_distance is not None else b"")
-    return cache_folder() / "blind" / f"femur-{name.hexdigest()[:24]}.npy"
+    return np.asarray((weights * heights).sum(axis=1) / weights.sum(axis=1))
 
 
 def _kept(path: Path) -> Array | None:

@@ -1,6 +1,8 @@
 """A hidden effect as drawn for one case: what it does to an experiment at any amplitude."""
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +68,33 @@ class Hidden:
 
 Apply = Callable[[Experiment, float], Experiment]
 Draw = Callable[[Scene, np.random.Generator], Hidden]
+
+
+def hidden(
+    name: str,
+    size: tuple[str, float, float],
+    apply: Apply,
+    shares: Mapping[str, float | tuple[float, str]],
+    *,
+    fixed: Mapping[str, tuple[float, str]] = MappingProxyType({}),
+    **more: Any,
+) -> Hidden:
+    """An effect whose numbers are shares of its amplitude; those that are `fixed` do not grow.
+
+    `size` is the unit of the amplitude, then the smallest and the largest of the literature. A
+    share is one of this unit, or comes with its own. `more` as in `Hidden`.
+    """
+    unit, smallest, largest = size
+    by_name = {k: x if isinstance(x, tuple) else (x, unit) for k, x in shares.items()}
+    return Hidden(
+        name=name,
+        unit=unit,
+        smallest=smallest,
+        largest=largest,
+        apply=apply,
+        amplitudes=lambda a: {**{k: (a * x, u) for k, (x, u) in by_name.items()}, **fixed},
+        **more,
+    )
 
 
 def line_row(

@@ -1,12 +1,12 @@
 """Hidden effects of the rig: loads, frames, readings, and what depends on the order of trials."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from identknee.blind.experiment import N_MM_PER_N_M, Experiment
-from identknee.blind.hidden import Apply, Hidden, Scene
+from identknee.blind.hidden import Apply, Draw, Hidden, Scene, hidden
 from identknee.laxity.table import COORDINATES
 from identknee.runs.arrays import Array
 
@@ -28,7 +28,7 @@ def compression(_scene: Scene, _generator: np.random.Generator) -> Hidden:
         change[DISTRACTION] = -amplitude
         return _loaded(experiment, change)
 
-    return _scalar("compression", "force_N", ("N", 20.0, 200.0), 1.0, apply)
+    return hidden("compression", ("N", 20.0, 200.0), apply, {"force_N": 1.0})
 
 
 def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
@@ -40,21 +40,16 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
         row = np.r_[amplitude * way, 0.0, -SHANK_MM, 0.0]
         return replace(experiment, weights=np.vstack([experiment.weights, row]))
 
-    return Hidden(
-        name="shank_gravity",
-        unit="N",
-        smallest=8.0,
-        largest=40.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            "posterior_N": (a * float(np.cos(angle)), "N"),
-            "distal_N": (a * float(np.sin(angle)), "N"),
-        },
+    return hidden(
+        "shank_gravity",
+        ("N", 8.0, 40.0),
+        apply,
+        {"posterior_N": float(np.cos(angle)), "distal_N": float(np.sin(angle))},
         n_numbers=2,
     )
 
 
-def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
+def moment_gain(axis: str) -> Draw:
     """Draw of a scale error of a moment, ``"IE"`` or ``"VV"``."""
     which = INTERNAL_MOMENT if axis == "IE" else VARUS_MOMENT
 
@@ -64,7 +59,9 @@ def moment_gain(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
             loads[:, which] += amplitude * _stated(experiment)[:, which]
             return replace(experiment, loads=loads)
 
-        return _scalar(f"moment_gain_{axis}", "gain", ("1", 0.05, 0.4), _sign(generator), apply)
+        return hidden(
+            f"moment_gain_{axis}", ("1", 0.05, 0.4), apply, {"gain": 1.0}, sign=_sign(generator)
+        )
 
     return draw
 
@@ -77,16 +74,11 @@ def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return _loaded(experiment, np.r_[amplitude * N_MM_PER_N_M * share, 0.0, 0.0, 0.0])
 
-    return Hidden(
-        name="moment_offset",
-        unit="N·m",
-        smallest=0.2,
-        largest=1.5,
-        apply=apply,
-        amplitudes=lambda a: {
-            "IE_Nm": (a * float(share[1]), "N·m"),
-            "VV_Nm": (a * float(share[0]), "N·m"),
-        },
+    return hidden(
+        "moment_offset",
+        ("N·m", 0.2, 1.5),
+        apply,
+        {"IE_Nm": float(share[1]), "VV_Nm": float(share[0])},
         n_numbers=2,
     )
 
@@ -102,16 +94,11 @@ def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
         loads[:, VARUS_MOMENT] += sine[1] * stated[:, INTERNAL_MOMENT]
         return replace(experiment, loads=loads)
 
-    return Hidden(
-        name="axis_misalignment",
-        unit="deg",
-        smallest=2.0,
-        largest=10.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            "VV_to_IE_deg": (a * float(way[0]), "deg"),
-            "IE_to_VV_deg": (a * float(way[1]), "deg"),
-        },
+    return hidden(
+        "axis_misalignment",
+        ("deg", 2.0, 10.0),
+        apply,
+        {"VV_to_IE_deg": float(way[0]), "IE_to_VV_deg": float(way[1])},
         n_numbers=2,
     )
 
@@ -128,15 +115,11 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
         return replace(experiment, loads=loads)
 
     names = [f"{axis}_{towards}_N_per_Nm" for axis in ("VV", "IE") for towards in ("x", "z")]
-    return Hidden(
-        name="parasitic_shear",
-        unit="N/N·m",
-        smallest=0.3,
-        largest=3.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            x: (a * float(w), "N/N·m") for x, w in zip(names, way.ravel(), strict=True)
-        },
+    return hidden(
+        "parasitic_shear",
+        ("N/N·m", 0.3, 3.0),
+        apply,
+        {x: float(w) for x, w in zip(names, way.ravel(), strict=True)},
         n_numbers=4,
     )
 
@@ -167,10 +150,12 @@ def flexion_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, flexion_offset=float(np.radians(amplitude)))
 
-    return _scalar("flexion_offset", "flexion_deg", ("deg", 1.0, 6.0), _sign(generator), apply)
+    return hidden(
+        "flexion_offset", ("deg", 1.0, 6.0), apply, {"flexion_deg": 1.0}, sign=_sign(generator)
+    )
 
 
-def rig_compliance(axis: str) -> Callable[[Scene, np.random.Generator], Hidden]:
+def rig_compliance(axis: str) -> Draw:
     """Draw of a rig that yields and adds its own rotation, ``"IE"`` or ``"VV"``."""
     column, reading = (0, INTERNAL_READING) if axis == "IE" else (1, VARUS_READING)
 
@@ -227,50 +212,23 @@ def _stated(experiment: Experiment) -> Array:
     return loads
 
 
-def _scalar(
-    name: str, number: str, size: tuple[str, float, float], sign: float, apply: Apply
-) -> Hidden:
-    unit, smallest, largest = size
-    return Hidden(
-        name=name,
-        unit=unit,
-        smallest=smallest,
-        largest=largest,
-        sign=sign,
-        apply=apply,
-        amplitudes=lambda a: {number: (a, unit)},
-    )
-
-
 def _reading_effect(
     name: str, size: tuple[str, float, float], shape: Array, parts: Mapping[str, float]
 ) -> Hidden:
     """Effect that adds its amplitude times `shape` (n, 5) to what is read, part by part."""
-    unit, smallest, largest = size
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, added=experiment.added + amplitude * shape)
 
-    return Hidden(
-        name=name,
-        unit=unit,
-        smallest=smallest,
-        largest=largest,
-        apply=apply,
-        amplitudes=lambda a: {x: (a * part, unit) for x, part in parts.items()},
-    )
+    return hidden(name, size, apply, parts)
 
 
 def _turn_effect(name: str, way: Array, apply: Apply) -> Hidden:
-    return Hidden(
-        name=name,
-        unit="deg",
-        smallest=1.0,
-        largest=6.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            f"{x}_deg": (a * float(w), "deg") for x, w in zip("xyz", way, strict=True)
-        },
+    return hidden(
+        name,
+        ("deg", 1.0, 6.0),
+        apply,
+        {f"{x}_deg": float(w) for x, w in zip("xyz", way, strict=True)},
         n_numbers=int(np.count_nonzero(way)),
     )
 
@@ -284,8 +242,7 @@ def _at(reading: int, values: Array) -> Array:
 
 def _unit(generator: np.random.Generator, n: int) -> Array:
     vector = generator.normal(size=n)
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _sign(generator: np.random.Generator) -> float:

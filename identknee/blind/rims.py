@@ -45,8 +45,7 @@ def contact_stays_inside(experiment: Experiment, run: ExperimentRun, rims: Rims)
 
 
 def _rim(surface: Surface) -> Array:
-    rim: Array = surface.vertices[np.unique(surface.boundary_edges)]
-    return rim
+    return np.asarray(surface.vertices[np.unique(surface.boundary_edges)])
 
 
 def _is_inside(experiment: Experiment, R: Array, t: Array, rims: Rims) -> bool:

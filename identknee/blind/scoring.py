@@ -32,8 +32,7 @@ class Score:
     )
     sentence: str = entry("All this for a person")
     line_offset_mm: float | None = entry(
-        "Distance of the line found from the middle of the true one; null without either",
-        unit="mm",
+        "Distance of the line found from the middle of the true one; null without either", unit="mm"
     )
     line_angle_deg: float | None = entry("Angle between the two lines", unit="deg")
     amplitudes_covered: float | None = entry(
@@ -75,7 +74,10 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     # There beside what is hidden, named or not.
     mounted = {REMOUNTING} if truth.facts.get("largest_remounting", 0.0) else set()
     is_named = verdict == NAMED
-    offset, angle = _nearest_line(truth, diagnosis)
+    given = [diagnosis.get("line"), *(x.get("line") for x in diagnosis.get("causes") or ())]
+    found = [_line(truth, x) for x in given]
+    known = [(offset, angle) for offset, angle in found if offset is not None]
+    offset, angle = min(known, key=lambda x: x[0], default=(None, None))
     # A structure is where its line runs, whatever it is called.
     is_there = offset is not None and angle is not None and offset < NEAR_MM and angle < NEAR_DEG
     is_placed = is_there and bool(hidden & set(UNLISTED))
@@ -90,6 +92,13 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
         _by_name(diagnosis.get(f"parameters_{x}"))
         for x in ("before", "after", "before_ci95", "after_ci95")
     )
+    causes = diagnosis.get("causes") or ()
+    answers = [
+        _holds(x["ci95"], size)
+        for cause in causes
+        for name, (size, _) in truth.amplitudes.get(str(cause["name"]), {}).items()
+        if (x := (cause.get("parameters") or {}).get(name))
+    ]
     return Score(
         verdict=verdict,
         correct=correct,
@@ -98,7 +107,7 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
         sentence=_sentence(truth, verdict, named, group, correct=correct, wrong=wrong),
         line_offset_mm=offset,
         line_angle_deg=angle,
-        amplitudes_covered=_amplitudes_covered(truth, diagnosis.get("causes") or ()),
+        amplitudes_covered=float(np.mean(answers)) if answers else None,
         stiffness_error_kN=(_error(truth, before, "_kN"), _error(truth, after, "_kN")),
         strain_error_pct=(_error(truth, before, "_pct"), _error(truth, after, "_pct")),
         covered_before=_coverage(truth, covered_before),
@@ -116,14 +125,6 @@ def _sentence(
     return f"Hidden: {hidden}, signal {truth.signal:.1f}. Diagnosed: {said}: {judged}."
 
 
-def _nearest_line(truth: Truth, diagnosis: Mapping[str, Any]) -> tuple[float | None, float | None]:
-    """The same of the nearest of all lines that a diagnosis gives."""
-    given = [diagnosis.get("line"), *(x.get("line") for x in diagnosis.get("causes") or ())]
-    found = [_line(truth, x) for x in given]
-    known = [(offset, angle) for offset, angle in found if offset is not None]
-    return min(known, key=lambda x: x[0], default=(None, None))
-
-
 def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, float | None]:
     """Distance [mm] and angle [deg] of a found line to the true one."""
     if not found or len(truth.lines) != 1:
@@ -138,18 +139,7 @@ def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, 
 
 
 def _unit(vector: Array) -> Array:
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
-
-
-def _amplitudes_covered(truth: Truth, causes: Sequence[Mapping[str, Any]]) -> float | None:
-    answers = [
-        _holds(found["ci95"], size)
-        for cause in causes
-        for name, (size, _) in truth.amplitudes.get(str(cause["name"]), {}).items()
-        if (found := (cause.get("parameters") or {}).get(name))
-    ]
-    return float(np.mean(answers)) if answers else None
+    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _holds(interval: Sequence[float | None], value: float) -> bool:

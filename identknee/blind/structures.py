@@ -18,7 +18,7 @@ from identknee.blind.experiment import (
     TOE,
     Experiment,
 )
-from identknee.blind.hidden import Apply, Draw, Hidden, Scene, line_row
+from identknee.blind.hidden import Draw, Hidden, Scene, hidden, line_row
 from identknee.blind.sites import structure_insertions
 from identknee.runs.arrays import Array
 
@@ -82,13 +82,12 @@ def rotational_spring(_scene: Scene, generator: np.random.Generator) -> Hidden:
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return replace(experiment, torsion=(amplitude * N_MM_PER_N_M_DEG, float(np.radians(rest))))
 
-    return Hidden(
-        name="rotational_spring",
-        unit="N·m/deg",
-        smallest=0.02,
-        largest=0.4,
-        apply=apply,
-        amplitudes=lambda a: {"stiffness": (a, "N·m/deg"), "rest_angle": (rest, "deg")},
+    return hidden(
+        "rotational_spring",
+        ("N·m/deg", 0.02, 0.4),
+        apply,
+        {"stiffness": 1.0},
+        fixed={"rest_angle": (rest, "deg")},
     )
 
 
@@ -109,17 +108,12 @@ def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
         ]
         return with_lines(experiment, rows)
 
-    return Hidden(
-        name="posterior_capsule",
-        unit="kN",
-        smallest=0.5,
-        largest=4.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            "medial_stiffness_kN": (a * float(shares[0]), "kN"),
-            "lateral_stiffness_kN": (a * float(shares[1]), "kN"),
-            "reference_strain_pct": (strain, "%"),
-        },
+    return hidden(
+        "posterior_capsule",
+        ("kN", 0.5, 4.0),
+        apply,
+        {"medial_stiffness_kN": float(shares[0]), "lateral_stiffness_kN": float(shares[1])},
+        fixed={"reference_strain_pct": (strain, "%")},
     )
 
 
@@ -129,7 +123,8 @@ def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
     A percent of strain spread goes with 0.5 mm of distance of the insertions from the middle.
     """
     split = (scene.places.front, scene.places.rear, scene.places.lateral)
-    aside = _directions(generator, (len(split), 2))
+    vectors = generator.normal(size=(*((len(split), 2)), 3))
+    aside: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         lines, others = experiment.lines.copy(), []
@@ -149,13 +144,8 @@ def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
             others.append(halves[1])
         return with_lines(replace(experiment, lines=lines), others)
 
-    return Hidden(
-        name="bundles",
-        unit="%",
-        smallest=2.0,
-        largest=8.0,
-        apply=apply,
-        amplitudes=lambda a: {"strain_spread": (a, "%"), "insertion_spread": (0.5 * a, "mm")},
+    return hidden(
+        "bundles", ("%", 2.0, 8.0), apply, {"strain_spread": 1.0, "insertion_spread": (0.5, "mm")}
     )
 
 
@@ -173,14 +163,7 @@ def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
         line[REFERENCE_LENGTH] = line_path(R, t, line)[0]
         return replace(experiment, lines=lines)
 
-    return Hidden(
-        name="mcl_wrapping",
-        unit="mm",
-        smallest=2.0,
-        largest=12.0,
-        apply=apply,
-        amplitudes=lambda a: {"lift_mm": (a, "mm")},
-    )
+    return hidden("mcl_wrapping", ("mm", 2.0, 12.0), apply, {"lift_mm": 1.0})
 
 
 def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
@@ -195,40 +178,32 @@ def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
         rows = np.c_[rest @ R.T + t, rest, [amplitude, amplitude * ratio]]
         return replace(experiment, springs=rows)
 
-    return Hidden(
-        name="meniscus",
-        unit="N/mm",
-        smallest=5.0,
-        largest=60.0,
-        apply=apply,
-        amplitudes=lambda a: {
-            "medial_N_per_mm": (a, "N/mm"),
-            "lateral_N_per_mm": (a * ratio, "N/mm"),
-        },
+    return hidden(
+        "meniscus", ("N/mm", 5.0, 60.0), apply, {"medial_N_per_mm": 1.0, "lateral_N_per_mm": ratio}
     )
 
 
 def toe_strain(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """The toe of every ligament ends at another strain."""
-    return _simple(
+    return hidden(
         "toe_strain",
-        "transition_strain_pct",
         ("%", 0.5, 1.8),
-        generator,
         lambda experiment, a: replace(
             experiment, lines=experiment.lines + 0.01 * a * (np.arange(LINE_COLUMNS) == TOE)
         ),
+        {"transition_strain_pct": 1.0},
+        sign=float(generator.choice([-1.0, 1.0])),
     )
 
 
 def cartilage(_scene: Scene, generator: np.random.Generator) -> Hidden:
     """Contact is stiffer or softer throughout; the amplitude is the logarithm of the factor."""
-    return _simple(
+    return hidden(
         "cartilage",
-        "ln_modulus",
         ("1", 0.4, 2.3),
-        generator,
         lambda experiment, a: replace(experiment, modulus=experiment.modulus * float(np.exp(a))),
+        {"ln_modulus": 1.0},
+        sign=float(generator.choice([-1.0, 1.0])),
     )
 
 
@@ -246,43 +221,18 @@ def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
         lines[:n, REFERENCE_LENGTH] = np.linalg.norm(way, axis=1)
         return replace(experiment, lines=lines)
 
-    return Hidden(
-        name="insertion",
-        unit="mm",
-        smallest=1.0,
-        largest=4.0,
-        apply=apply,
-        amplitudes=lambda a: {"rms_shift": (a, "mm")},
+    return hidden(
+        "insertion",
+        ("mm", 1.0, 4.0),
+        apply,
+        {"rms_shift": 1.0},
         n_numbers=6 * n,
         over=float(np.sqrt(6 * n)),
     )
 
 
-def _simple(
-    name: str,
-    number: str,
-    size: tuple[str, float, float],
-    generator: np.random.Generator,
-    apply: Apply,
-) -> Hidden:
-    unit, smallest, largest = size
-    return Hidden(
-        name=name,
-        unit=unit,
-        smallest=smallest,
-        largest=largest,
-        sign=float(generator.choice([-1.0, 1.0])),
-        apply=apply,
-        amplitudes=lambda a: {number: (a, unit)},
-    )
-
-
 def _line_effect(
-    name: str,
-    scene: Scene,
-    ends: Sequence[Array],
-    strain_pct: float,
-    sizes_kN: tuple[float, float],
+    name: str, scene: Scene, ends: Sequence[Array], strain_pct: float, sizes_kN: tuple[float, float]
 ) -> Hidden:
     """Effect of one line more; its amplitude is the stiffness."""
     femur, tibia = ends
@@ -290,16 +240,12 @@ def _line_effect(
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         return with_lines(experiment, [line_row(scene, femur, tibia, amplitude, strain_pct)])
 
-    return Hidden(
-        name=name,
-        unit="kN",
-        smallest=sizes_kN[0],
-        largest=sizes_kN[1],
-        apply=apply,
-        amplitudes=lambda a: {
-            "stiffness_kN": (a, "kN"),
-            "reference_strain_pct": (strain_pct, "%"),
-        },
+    return hidden(
+        name,
+        ("kN", *sizes_kN),
+        apply,
+        {"stiffness_kN": 1.0},
+        fixed={"reference_strain_pct": (strain_pct, "%")},
         line=(femur, tibia),
     )
 
@@ -320,14 +266,7 @@ def _strands_effect(
         ]
         return with_lines(experiment, rows)
 
-    return Hidden(
-        name=name,
-        unit="kN",
-        smallest=sizes_kN[0],
-        largest=sizes_kN[1],
-        apply=apply,
-        amplitudes=lambda a: {"stiffness_kN": (a, "kN")},
-    )
+    return hidden(name, ("kN", *sizes_kN), apply, {"stiffness_kN": 1.0})
 
 
 def _around(
@@ -358,13 +297,6 @@ def _around(
 def _about_y(angle: float) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-
-
-def _directions(generator: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Random unit vectors, shape ``(*shape, 3)``."""
-    vectors = generator.normal(size=(*shape, 3))
-    units: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return units
 
 
 def _strain(scene: Scene, generator: np.random.Generator) -> float:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from typing_extensions import override
@@ -45,7 +45,19 @@ class Revelation:
             sizes = (f"{name} {value:.3g} {unit}" for name, (value, unit) in numbers.items())
             yield f"{effect}: {', '.join(sizes)}"
         if truth.stated_errors:
-            told = ", ".join(_true_errors(truth.stated_errors))
+            lengths: dict[tuple[str, str], float] = {}
+            gains = []
+            for name, value in truth.stated_errors.items():
+                words = re.split("[._]", name)
+                unit, kind = words[-1], name.partition(".")[0]
+                if kind == "load_gain":
+                    gains.append(f"{' '.join(words[2:])} {100.0 * value:+.2g} %")
+                else:
+                    key = (name[: -len(f"_x_{unit}")], unit)
+                    lengths[key] = math.hypot(lengths.get(key, 0.0), value)
+            told = ", ".join(
+                [*(f"{name} {x:.2g} {unit}" for (name, unit), x in lengths.items()), *gains]
+            )
             yield f"What was given with the knee is wrong by: {told}."
         if score.line_offset_mm is not None:
             yield (
@@ -95,18 +107,3 @@ def _folder_containing(folder: Path, file: str, verb: str) -> Path:
         why = f"it holds no {file}, so identknee {verb} did not make it"
         raise InputError(folder, "", why, ORDER)
     return folder
-
-
-def _true_errors(errors: Mapping[str, float]) -> list[str]:
-    """How far off each place, frame and set of axes is, and each kind of load."""
-    lengths: dict[tuple[str, str], float] = {}
-    gains = []
-    for name, value in errors.items():
-        words = re.split("[._]", name)
-        unit, kind = words[-1], name.partition(".")[0]
-        if kind == "load_gain":
-            gains.append(f"{' '.join(words[2:])} {100.0 * value:+.2g} %")
-        else:
-            key = (name[: -len(f"_x_{unit}")], unit)
-            lengths[key] = math.hypot(lengths.get(key, 0.0), value)
-    return [*(f"{name} {x:.2g} {unit}" for (name, unit), x in lengths.items()), *gains]

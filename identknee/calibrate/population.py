@@ -59,7 +59,7 @@ def uniform_box(generator: np.random.Generator, n: int, low: Array, high: Array)
 # Stands for infinity where a library takes differences of deviances.
 NO_PREDICTION = 1e100
 # scipy's 5,230 jumps all over the bounds: with it, 2,500 simulations of eight springs
-# (tests/problems.py) from a start near the minimum never went below the start.
+# (tests/support/problems.py) from a start near the minimum never went below the start.
 INITIAL_TEMPERATURE = 10.0
 
 

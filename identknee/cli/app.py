@@ -6,10 +6,7 @@ from typing import Annotated
 import typer
 
 from identknee.cli.command import Command
-from identknee.cli.doctor import doctor
-from identknee.cli.report import report
-from identknee.cli.reveal import reveal
-from identknee.cli.subject_list import list_all
+from identknee.cli.commands import doctor, list_all, report, reveal
 from identknee.cli.verb_command import SubjectGroup, VerbGroup
 
 app = typer.Typer(

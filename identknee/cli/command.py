@@ -72,7 +72,9 @@ class CommandGroup(typer.core.TyperGroup):
                 _unexpected_error(error, ctx.meta),
                 NOT_COMPUTED,
             )
-        _remove_if_empty(ctx.meta)
+        if ctx.meta.get(IS_NEW):
+            with suppress(OSError):
+                ctx.meta[SETTINGS]["out"].rmdir()
         # A file that is no text may bring anything into the sentence about it.
         plain = sentence.replace("\n", " ")
         line = "".join(x if x.isprintable() else "?" for x in plain[:LONGEST_SENTENCE])
@@ -111,13 +113,6 @@ def _unexpected_error(error: Exception, meta: Mapping[str, Any]) -> str:
     return report_unexpected_error(
         error, settings, out if out is not None and out.is_dir() else None
     )
-
-
-def _remove_if_empty(meta: Mapping[str, Any]) -> None:
-    """Remove the folder of results that a verb made and left nothing in."""
-    if meta.get(IS_NEW):
-        with suppress(OSError):
-            meta[SETTINGS]["out"].rmdir()
 
 
 def option_sentence(error: typer.BadParameter) -> str:

@@ -61,11 +61,35 @@ class WaitingCommand(typer.core.TyperCommand):
 
 def command_of(verb: Verb) -> typer.core.TyperCommand:
     """The command of a verb; its module is loaded here."""
+    from identknee.verbs.options import description_of, parameters_in_full
 
     def called(context: typer.Context, **_: Any) -> None:
-        _run(verb, dict(context.params))
+        arguments = dict(context.params)
+        as_json, out = arguments.pop("as_json"), arguments["out"]
+        if verb.beginning and not as_json:
+            typer.echo(verb.beginning.format(**arguments), err=True)
+        call = verb.call
+        answer = call(**{k: arguments[k] for k in parameters_in_full(call) if k in arguments})
+        finished(answer, out, then=verb.then.format(out=out), as_json=as_json)
+        # What follows loads matplotlib, which takes longer than most mistakes.
+        if verb.has_pictures:
+            from identknee.report.figures import png
+            from identknee.report.presenter import presenter_of
 
-    called.__doc__ = _help(verb)
+            knee = ik.read_subject(arguments.get("subject", "reference"))
+            drawn = presenter_of(answer).pictures(answer, knee)
+            # All are drawn before any is written, so that no half of them is left.
+            for name, picture in {x: png(y) for x, y in drawn.items()}.items():
+                write_atomically(out / f"{name}.png", picture)
+        if verb.has_page:
+            from identknee.report.write_report import write_report
+
+            write_report(out, out / PAGE)
+            if not as_json:
+                typer.echo(f"Open in a browser: {out / PAGE}")
+
+    more = [description_of(verb.call), *([RESUMES] if verb.resumes else [])]
+    called.__doc__ = f"{verb.summary}\n\n{' '.join(more)}".strip()
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY)
     parameters = [context.replace(annotation=typer.Context), *_parameters(verb)]
     called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -75,42 +99,6 @@ def command_of(verb: Verb) -> typer.core.TyperCommand:
     app.command(verb.name.rpartition(" ")[2], cls=Command, epilog=epilog)(called)
     made: typer.core.TyperCommand = typer.main.get_command(app)  # type: ignore[assignment]
     return made
-
-
-def _run(verb: Verb, arguments: dict[str, Any]) -> None:
-    """Call the verb, print its answer, and write what the command leaves beside the results."""
-    from identknee.verbs.options import parameters_in_full
-
-    as_json, out = arguments.pop("as_json"), arguments["out"]
-    if verb.beginning and not as_json:
-        typer.echo(verb.beginning.format(**arguments), err=True)
-    call = verb.call
-    answer = call(**{k: arguments[k] for k in parameters_in_full(call) if k in arguments})
-    finished(answer, out, then=verb.then.format(out=out), as_json=as_json)
-    # What follows loads matplotlib, which takes longer than most mistakes.
-    if verb.has_pictures:
-        from identknee.report.figures import png
-        from identknee.report.presenter import presenter_of
-
-        knee = ik.read_subject(arguments.get("subject", "reference"))
-        drawn = presenter_of(answer).pictures(answer, knee)
-        # All are drawn before any is written, so that no half of them is left.
-        for name, picture in {x: png(y) for x, y in drawn.items()}.items():
-            write_atomically(out / f"{name}.png", picture)
-    if verb.has_page:
-        from identknee.report.write_report import write_report
-
-        write_report(out, out / PAGE)
-        if not as_json:
-            typer.echo(f"Open in a browser: {out / PAGE}")
-
-
-def _help(verb: Verb) -> str:
-    """The line of help, and what the docstring of the verb says beside its first line."""
-    from identknee.verbs.options import description_of
-
-    more = [description_of(verb.call), *([RESUMES] if verb.resumes else [])]
-    return f"{verb.summary}\n\n{' '.join(more)}".strip()
 
 
 def _parameters(verb: Verb) -> Iterator[inspect.Parameter]:

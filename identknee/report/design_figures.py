@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.trial_words import UNLOADED, loads_words
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES, bare
 from identknee.runs.arrays import Array
 
 # Before, predicted, achieved.
@@ -74,7 +74,8 @@ def candidates_figure(
     """
     gains = np.asarray(gains, float)
     angles = np.unique(candidates.flexion_deg)
-    labels = _load_labels(candidates)
+    pattern = "{what} {size:g} {unit}"
+    labels = [" + ".join(loads_words(x, pattern)) or UNLOADED for x in candidates.loads]
     rows = _rows(labels, len(angles), {labels[k] for k in chosen})
     table = np.full((len(rows), len(angles)), np.nan)
     lost: list[tuple[int, int]] = []
@@ -90,7 +91,11 @@ def candidates_figure(
     image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
     for place in lost:
         axes.plot(*place, "x", color=GREY, markersize=4)
-    for k, order in _orders(chosen).items():
+    counts = Counter(chosen)
+    for k, order in {
+        place: str(list(chosen).index(place) + 1) + (f" x{n}" if n > 1 else "")
+        for place, n in counts.items()
+    }.items():
         axes.plot(*places[k], "o", color="white", markersize=19, markeredgecolor=BLACK)
         axes.annotate(order, places[k], ha="center", va="center", fontsize=7)
     axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
@@ -132,7 +137,7 @@ def steps_figure(widths: Mapping[str, ArrayLike], achieved: Mapping[str, float])
     axes.set_ylim(bottom=0.0)
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=SMALL, ncols=2)
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)
     return figure
 
 
@@ -146,22 +151,7 @@ def _bar(axes: Axes, ends: Array, around: tuple[float, float], row: int) -> None
             axes.plot(place, row, marker, color=COLOURS[row], markersize=9)
 
 
-def _load_labels(protocol: Protocol) -> list[str]:
-    """What loads each trial and how much, for example ``"internal moment 5 N·m"``."""
-    pattern = "{what} {size:g} {unit}"
-    return [" + ".join(loads_words(x, pattern)) or UNLOADED for x in protocol.loads]
-
-
 def _rows(labels: Sequence[str], n_angles: int, chosen: set[str]) -> list[str]:
     """Labels with candidates at half of the angles or a chosen one: single loads, then pairs."""
     shown = {x for x in labels if x in chosen or 2 * labels.count(x) >= n_angles}
     return sorted(shown, key=lambda label: (label != UNLOADED, label.count("+"), label))
-
-
-def _orders(chosen: Sequence[int]) -> dict[int, str]:
-    """When each chosen trial was: its first number, and how often it comes where that is more."""
-    counts = Counter(chosen)
-    return {
-        place: str(list(chosen).index(place) + 1) + (f" x{n}" if n > 1 else "")
-        for place, n in counts.items()
-    }

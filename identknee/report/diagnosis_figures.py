@@ -1,14 +1,19 @@
 """Figures of a diagnosis, one function a figure, in the style of `identknee.report.figures`."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
+from scipy.spatial import ConvexHull
 
 from identknee.diagnosis.data_noise import load_curves
 from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
+from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import Protocol
@@ -16,8 +21,8 @@ from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import load_label
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare
-from identknee.report.wrench_figure import wrench_figure
+from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare, legend_below
+from identknee.report.scene import View
 from identknee.runs.arrays import Array
 from identknee.runs.words import coordinate_words
 from identknee.subject.knee import Knee
@@ -85,7 +90,10 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
         scores[row, column] = x.score
         _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK * largest)
         if x.p_value <= LEVEL:
-            _frame_cell(axes, column, row)
+            corners = np.array(
+                [[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]]
+            )
+            axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
     limit = max(5.0, float(np.nanmax(np.abs(scores), initial=0.0)))
     axes.set_facecolor("0.85")
     image = axes.imshow(scores, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto")
@@ -147,11 +155,24 @@ def residuals_figure(
     grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
     for column, curve in enumerate(curves):
         for axes, i in zip(grid[:, column], rows, strict=True):
-            _draw_residuals(axes, curve, residuals[:, i], sd[:, i])
+            spread = 2.0 * sd[:, i][curve.trials]
+            axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
+            axes.axhline(0.0, color=GREY, linewidth=0.7)
+            axes.plot(curve.load, residuals[:, i][curve.trials], "o", color=BLACK, markersize=2.8)
+            axes.tick_params(labelsize=TINY)
+            bare(axes)
             for k, change in enumerate(changes.values()):
                 values = change[curve.trials, i]
                 axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
-        grid[0, column].set_title(_curve_title(protocol, curve), fontsize=SMALL)
+        trial, axis = curve.trials[0], _axis(protocol, curve)
+        others = [
+            f"{load_label(i)} {x:g}"
+            for i, x in enumerate(protocol.loads[trial])
+            if i != axis and x != 0.0
+        ]
+        grid[0, column].set_title(
+            "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others]), fontsize=SMALL
+        )
         grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):
         axes.set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
@@ -160,9 +181,7 @@ def residuals_figure(
         for k, name in enumerate(changes)
     ]
     if handles:
-        figure.legend(
-            handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9
-        )
+        legend_below(figure, handles, columns=3)
     figure.suptitle("measured minus predicted by the model without causes", fontsize=10)
     return figure
 
@@ -211,7 +230,13 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
         places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
         # What is in the fit already has no score beside it.
         scores = [step.scores.get(x, 0.0) for x in order]
-        axes.barh(places, scores, height, color=COLOURS[k], label=_beside(step))
+        axes.barh(
+            places,
+            scores,
+            height,
+            color=COLOURS[k],
+            label=(f"with {' and '.join(step.beside)}" if step.beside else "without cause"),
+        )
         axes.axvline(step.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
     axes.set_yticks(range(len(order)), order, fontsize=SMALL)
     axes.set_ylim(len(order) - 0.4, -0.6)
@@ -227,11 +252,6 @@ def isolability_figure(distances: Distances) -> Figure:
     """How far the data expected under each cause are from the best fit of each other one.
 
     Rows are true, columns fitted in their place. Dark cells below 5 cannot be told apart.
-
-    Parameters
-    ----------
-    distances
-        Distances of all effects from one another.
     """
     names = distances.effects
     order = [distances.rivals.index(x) for x in names]
@@ -293,7 +313,19 @@ def estimates_figure(
     for row, (quantity, label) in zip(grid, QUANTITIES.items(), strict=True):
         for axes, ligament in zip(row, ligaments, strict=True):
             for k, (name, tree) in enumerate(fits.items()):
-                _draw_estimate(axes, k, tree[ligament][quantity], name)
+                estimate = tree[ligament][quantity]
+                ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[
+                    :, None
+                ]
+                value, colour = estimate.value, COLOURS[k]
+                bars = np.abs(ends - value)
+                axes.errorbar(
+                    [k], [value], yerr=bars, fmt=MARKERS[k], color=colour, capsize=4, label=name
+                )
+                for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
+                    if end is None:
+                        # An open end has no bar but an arrow.
+                        axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
             if truth is not None and f"{ligament}.{quantity}" in truth:
                 true = truth[f"{ligament}.{quantity}"]
                 axes.axhline(true, color=BLACK, linewidth=1.0, label="truth")
@@ -304,8 +336,7 @@ def estimates_figure(
         row[0].set_ylabel(label)
     for axes, ligament in zip(grid[0], ligaments, strict=True):
         axes.set_title(ligament, fontsize=9)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=3)
     return figure
 
 
@@ -337,41 +368,6 @@ def _estimates(
     }
 
 
-def _draw_residuals(axes: Axes, curve: Curve, residuals: Array, sd: Array) -> None:
-    spread = 2.0 * sd[curve.trials]
-    axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
-    axes.axhline(0.0, color=GREY, linewidth=0.7)
-    axes.plot(curve.load, residuals[curve.trials], "o", color=BLACK, markersize=2.8)
-    axes.tick_params(labelsize=TINY)
-    bare(axes)
-
-
-def _draw_estimate(axes: Axes, k: int, estimate: Estimate, label: str) -> None:
-    ends = np.array([estimate.value if x is None else x for x in estimate.ci95])[:, None]
-    value, colour = estimate.value, COLOURS[k]
-    bars = np.abs(ends - value)
-    axes.errorbar([k], [value], yerr=bars, fmt=MARKERS[k], color=colour, capsize=4, label=label)
-    for end, arrow in zip(estimate.ci95, ("$\\downarrow$", "$\\uparrow$"), strict=True):
-        if end is None:
-            # An open end has no bar but an arrow.
-            axes.plot([k], [value], marker=arrow, color=colour, markersize=14)
-
-
-def _beside(step: StepScores) -> str:
-    return f"with {' and '.join(step.beside)}" if step.beside else "without cause"
-
-
-def _curve_title(protocol: Protocol, curve: Curve) -> str:
-    """Flexion, and the other loads where there are any."""
-    trial, axis = curve.trials[0], _axis(protocol, curve)
-    others = [
-        f"{load_label(i)} {x:g}"
-        for i, x in enumerate(protocol.loads[trial])
-        if i != axis and x != 0.0
-    ]
-    return "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others])
-
-
 def _axis(protocol: Protocol, curve: Curve) -> int:
     return int(np.argmax(np.ptp(protocol.loads[curve.trials], axis=0)))
 
@@ -386,6 +382,149 @@ def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) 
     axes.text(column, row, text, ha="center", va="center", fontsize=TINY, color=color)
 
 
-def _frame_cell(axes: Axes, column: int, row: int) -> None:
-    corners = np.array([[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]])
-    axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
+# Right is lateral, up is anterior: a right knee's plateau as the femur sees it.
+ABOVE = View(right=np.array([0.0, 0.0, 1.0]), up=np.eye(3)[0], toward=np.eye(3)[1])
+PLATEAU, MARGIN = "0.92", 0.12
+REACH = 22.0  # mm on the page, of the largest force that is shown as known
+RING = 13.0  # mm, radius of the arc of a moment
+LEAST_TURN, MOST_TURN = 8.0, 150.0  # deg, of an arc that is drawn, and of the largest
+WITHIN_95 = 2.45  # standard deviations of a pair of numbers
+SHOWN, LINES = COLOURS[1], (COLOURS[0], COLOURS[2], COLOURS[3])
+
+
+def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
+    """What else would have to act on the tibia, on its plateau, by flexion and direction of load.
+
+    Straight arrows are forces, arcs moments about the tibial axis, both means over the trials and
+    outside the directions in which contact presses; the ellipse holds the tip in 95 % of cases.
+    Grey is what noise alone may ask for. It is what is missing beside the ligaments as they are in
+    the explanation that the diagnosis gives, whose structures are drawn too, a square at the tibia;
+    where it gives none, beside ligaments that have taken over what they can.
+    """
+    pulls = answer.missing_wrench
+    angles = sorted({x.flexion_deg for x in pulls})
+    directions = list(dict.fromkeys(x.direction for x in pulls))
+    size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
+    figure = Figure(figsize=size, layout="constrained")
+    figure.suptitle("missing force and moment on the tibia, seen from above", fontsize=10)
+    if not pulls:
+        return figure
+    grid = figure.subplots(len(angles), len(directions), squeeze=False)
+    known = [x for x in pulls if x.p_value <= LEVEL] or pulls
+    forces = [_force(x) for x in known]
+    moments = [abs(x.internal_moment_Nm) for x in known]
+    tiny = np.finfo(np.float64).tiny
+    force, moment = max(*forces, tiny), max(*moments, tiny)
+    given: dict[str, LineEnds] = {
+        cause_label(x.name): x.line for x in answer.causes if x.line is not None
+    }
+    if answer.line is not None and not given:
+        given = {"the line tried": answer.line}
+    lines = {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
+    # Arrows cross what is written beside them: names stand where these are shortest.
+    least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
+    named = grid[angles.index(least.flexion_deg), directions.index(least.direction)]
+    for axes in grid.flat:
+        is_named = axes is named
+        for surface in knee.tibia:
+            page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
+            axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
+        places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
+        axes.plot(*places.T, "o", color=GREY, markersize=2.5)
+        for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
+            away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
+            axes.annotate(
+                ligament.name,
+                place,
+                (float(away[0]), float(away[1])),
+                textcoords="offset points",
+                fontsize=TINY,
+                ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
+                va="center",
+            )
+        for line, colour in zip(lines.values(), cycle(LINES), strict=False):
+            ends = ABOVE.project(line)[:, :2]
+            axes.plot(*ends.T, color=colour, linewidth=2.0)
+            axes.plot(*ends[1], "s", color=colour, markersize=4)
+        axes.set_aspect("equal")
+        axes.margins(MARGIN)
+        axes.set_axis_off()
+        # What follows must not change the scale, which is that of all panels.
+        axes.autoscale_view()
+        axes.set_autoscale_on(False)
+    for pull in pulls:
+        axes = grid[angles.index(pull.flexion_deg), directions.index(pull.direction)]
+        _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
+    for axes, direction in zip(grid[0], directions, strict=True):
+        axes.set_title(direction, fontsize=9)
+    for axes, angle in zip(grid[:, 0], angles, strict=True):
+        axes.text(-0.04, 0.5, f"{angle:g} deg", transform=axes.transAxes, ha="right", va="center")
+    handles = [
+        Line2D([], [], color=SHOWN, linewidth=1.8, label="more than noise (p < 0.05)"),
+        Line2D([], [], color=GREY, linewidth=1.8, label="may be noise"),
+        *(
+            Line2D([], [], color=colour, linewidth=2.0, marker="s", markersize=4, label=name)
+            for name, colour in zip(lines, cycle(LINES), strict=False)
+        ),
+    ]
+    legend_below(
+        figure,
+        handles,
+        columns=4,
+        title="up is anterior, right is lateral, an arc counterclockwise is an internal moment",
+        title_fontsize=SMALL,
+    )
+    return figure
+
+
+def _force(pull: Pull) -> float:
+    return float(np.hypot(pull.anterior_force_N, pull.lateral_force_N))
+
+
+def _draw_pull(axes: Axes, pull: Pull, mm_per_N: float, deg_per_Nm: float) -> None:
+    """The force from the tibial origin, the moment around it, and how sure they are."""
+    colour = SHOWN if pull.p_value <= LEVEL else GREY
+    tip = mm_per_N * np.array([pull.lateral_force_N, pull.anterior_force_N])
+    values, vectors = np.linalg.eigh(mm_per_N**2 * np.array(pull.force_covariance))
+    width, height = 2.0 * WITHIN_95 * np.sqrt(np.maximum(values[::-1], 0.0))
+    turn = float(np.degrees(np.arctan2(vectors[0, 1], vectors[1, 1])))
+    axes.add_patch(
+        Ellipse(
+            (tip[0], tip[1]), width, height, angle=turn, facecolor=colour, alpha=0.15, linewidth=0
+        )
+    )
+    _draw_arrow(axes, np.zeros(2), tip, colour)
+    _draw_moment(axes, deg_per_Nm * pull.internal_moment_Nm, colour)
+    moment, sd = pull.internal_moment_Nm, pull.sd_internal_moment_Nm
+    text = f"{_force(pull):.0f} N, {moment:+.1f} ± {sd:.1f} N·m"
+    axes.text(0.5, -0.02, text, transform=axes.transAxes, ha="center", va="top", fontsize=TINY)
+
+
+def _draw_moment(axes: Axes, turn: float, colour: str) -> None:
+    """An arc of `turn` [deg] with a head: counterclockwise is internal."""
+    start = 90.0 - 0.5 * turn
+    if abs(turn) < LEAST_TURN:
+        return
+    low, high = sorted((start, start + turn))
+    arc = Arc((0.0, 0.0), 2 * RING, 2 * RING, theta1=low, theta2=high, color=colour, zorder=4)
+    arc.set_linewidth(1.5)
+    axes.add_patch(arc)
+    # The head follows the last degrees of the arc.
+    before, end = np.radians([start + turn - np.sign(turn) * 0.5 * LEAST_TURN, start + turn])
+    foot, tip = (RING * np.array([np.cos(x), np.sin(x)]) for x in (before, end))
+    _draw_arrow(axes, foot, tip, colour)
+
+
+def _draw_arrow(axes: Axes, foot: Array, tip: Array, colour: str) -> None:
+    arrow = FancyArrowPatch(
+        (foot[0], foot[1]),
+        (tip[0], tip[1]),
+        arrowstyle="-|>",
+        color=colour,
+        linewidth=1.8,
+        shrinkA=0,
+        shrinkB=0,
+        mutation_scale=9,
+        zorder=4,
+    )
+    axes.add_patch(arrow)

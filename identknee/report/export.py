@@ -6,7 +6,6 @@ import io
 import re
 import zlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -17,17 +16,17 @@ from numpy.typing import ArrayLike
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.mechanics.contact_points import distances
-from identknee.mechanics.distance_field import ContactLaw, DistanceField
+from identknee.mechanics.distance_field import ContactLaw
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
 from identknee.mechanics.pose import Placement, place
 from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
-from identknee.report.presenter import of_type, presenter_of
-from identknee.report.range import Range
+from identknee.report.presenter import Range, of_type, presenter_of
+from identknee.report.scene import distance_from_femur
 from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee
@@ -89,7 +88,15 @@ def polydata(
     whole = ET.SubElement(root, "PolyData")
     fields = ET.SubElement(whole, "FieldData")
     for name, texts in words.items():
-        _add_words(fields, name, texts)
+        element = ET.SubElement(
+            fields,
+            "DataArray",
+            type="String",
+            Name=name,
+            NumberOfTuples=str(len(texts)),
+            format="ascii",
+        )
+        element.text = " ".join(str(x) for word in texts for x in (*word.encode("utf-8"), 0))
     counts = {"NumberOfPoints": len(points), "NumberOfLines": len(lines)}
     counts["NumberOfPolys"] = len(triangles)
     piece = ET.SubElement(whole, "Piece", {name: str(n) for name, n in counts.items()})
@@ -123,19 +130,6 @@ def _add(parent: ET.Element, name: str, kind: str, values: Array | IntArray, **m
     told = {"type": kind, "Name": name, "format": "binary", **more}
     element = ET.SubElement(parent, "DataArray", told)
     element.text = (base64.b64encode(sizes) + base64.b64encode(block)).decode("ascii")
-
-
-def _add_words(parent: ET.Element, name: str, words: Sequence[str]) -> None:
-    """Words as the numbers of their bytes, each ended by a zero."""
-    element = ET.SubElement(
-        parent,
-        "DataArray",
-        type="String",
-        Name=name,
-        NumberOfTuples=str(len(words)),
-        format="ascii",
-    )
-    element.text = " ".join(str(x) for word in words for x in (*word.encode("utf-8"), 0))
 
 
 COLLECTION = "trials.pvd"
@@ -209,7 +203,12 @@ class _Poses:
         places = np.concatenate([*lines, *sheets])
         numbers = [np.full(len(x.faces), i) for i, x in enumerate(surfaces)]
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
-        tension, strain = self._line_tensions(trial)
+        pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
+        found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
+        length = line_lengths(self._lines, float(flexion[0]), pose[0])
+        slack = np.asarray(self._lines.reference_length) / (1.0 + self._strain)
+        tension, strain = found.tensions[0], 100.0 * (length / slack - 1.0)
+        own = [x.name for x in self._model.knee.ligaments]
         return polydata(
             knee.in_scan_frame(knee.femur_frame.to_common(self._field.to_field(places))),
             np.column_stack([np.arange(n), n + np.arange(n)]),
@@ -217,16 +216,20 @@ class _Poses:
             {
                 "part": np.concatenate([len(BONES) + np.arange(n), *numbers]),
                 "gap_mm": np.r_[empty, gaps],
-                "pressure_MPa": np.r_[empty, self._pressure(gaps)],
+                "pressure_MPa": np.r_[
+                    empty, (self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0])
+                ],
                 "tension_N": np.r_[tension, none],
                 "strain_pct": np.r_[strain, none],
             },
-            {"parts": [*BONES, *self._names(n)], "trial": [self._model.protocol.trials[trial]]},
+            {
+                "parts": [
+                    *BONES,
+                    *[*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))],
+                ],
+                "trial": [self._model.protocol.trials[trial]],
+            },
         )
-
-    def _names(self, n: int) -> list[str]:
-        own = [x.name for x in self._model.knee.ligaments]
-        return [*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))]
 
     def _contact_gaps(self, placement: Placement) -> list[Array]:
         """Distance of the centre of each face from the other bone [mm], by bone."""
@@ -237,29 +240,7 @@ class _Poses:
             placement.to_femur(own[x.faces].mean(axis=1))
             for own, x in zip(self._tibia, knee.tibia, strict=True)
         ]
-        return [to_tibia, *(_to_femur(self._field, x) for x in tibial)]
-
-    def _pressure(self, gaps: Array) -> Array:
-        return self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
-
-    def _line_tensions(self, trial: int) -> tuple[Array, Array]:
-        """Tension [N] and strain [%] of every line."""
-        pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
-        found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
-        length = line_lengths(self._lines, float(flexion[0]), pose[0])
-        slack = np.asarray(self._lines.reference_length) / (1.0 + self._strain)
-        return found.tensions[0], 100.0 * (length / slack - 1.0)
-
-
-def _to_femur(field: DistanceField, places: Array) -> Array:
-    """Distance of places from the femur [mm]; NaN beyond the grid of the field."""
-    places = field.to_field(places)
-    cell = np.floor((places - field.origin) / field.spacing)
-    # The outermost cells of the grid lack the support of the spline.
-    inner = ((cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)).all(axis=1)
-    found = np.full(len(places), np.nan)
-    found[inner] = distances(field, places[inner])[0]
-    return found
+        return [to_tibia, *(distance_from_femur(self._field, x) for x in tibial)]
 
 
 COLUMNS = (
@@ -327,23 +308,13 @@ def _set_of(found: Range | None) -> tuple[float | str, float | str, str]:
 TABLE, POSES = "parameters.tsv", "vtk"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Exported:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    knee
-        The knee as it was written.
-    folder
-        Its subject folder.
-    others
-        Files and folders for other tools.
-    """
-
-    knee: Knee
-    folder: Path
-    others: tuple[Path, ...]
+    knee: Knee = entry("The knee as it was written")
+    folder: Path = entry("Its subject folder")
+    others: tuple[Path, ...] = entry("Files and folders for other tools")
 
 
 def export_knee(
@@ -388,7 +359,18 @@ def export_knee(
     folder = write_subject(written, out)
     others = []
     if results:
-        others.append(_write_table(knee, results, folder))
+        latest = _latest(results)
+        answer = latest.answer
+        stated = with_stated_uncertainty_of(knee, answer)
+        parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
+        settings = {} if answer.record is None else answer.record.settings
+        table = parameter_table(
+            parameters,
+            fitted_values(answer),
+            ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
+            fixed=settings.get("fixed") or (),
+        )
+        others.append(write_atomically(folder / TABLE, table))
     if osim or source is not None:
         others.append(write_opensim(knee_as_fitted(written), folder, source=source))
     if vtk:
@@ -457,22 +439,6 @@ def _rank(result: Result) -> int:
     """How much the parameter set of the result counts."""
     verb = verb_named(result.verb)
     return 0 if verb is None else verb.parameter_rank
-
-
-def _write_table(knee: Knee, results: list[Result], folder: Path) -> Path:
-    """The parameters, with what all results of the same data say of them."""
-    latest = _latest(results)
-    answer = latest.answer
-    stated = with_stated_uncertainty_of(knee, answer)
-    parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
-    settings = {} if answer.record is None else answer.record.settings
-    table = parameter_table(
-        parameters,
-        fitted_values(answer),
-        ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
-        fixed=settings.get("fixed") or (),
-    )
-    return write_atomically(folder / TABLE, table)
 
 
 def _write_trials(

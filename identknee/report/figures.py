@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
@@ -32,16 +33,23 @@ def panel_row(
 
 
 def legend_below(
-    figure: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int = 5
+    figure: Figure,
+    handles: Sequence[Artist],
+    labels: Sequence[str] | None = None,
+    *,
+    columns: int = 5,
+    fontsize: int = 9,
+    **more: Any,
 ) -> None:
     """A legend of the whole figure below its panels, of so many columns at most."""
     figure.legend(
         handles,
-        labels,
+        [str(x.get_label()) for x in handles] if labels is None else labels,
         loc="outside lower center",
-        ncols=min(len(labels), columns),
+        ncols=columns,
         frameon=False,
-        fontsize=9,
+        fontsize=fontsize,
+        **more,
     )
 
 

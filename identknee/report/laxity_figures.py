@@ -1,9 +1,8 @@
 """Figures of laxity along load curves: measured, simulated, and bands around it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -12,7 +11,7 @@ from identknee.diagnosis.data_noise import load_curves
 from identknee.diagnosis.noise_model import Curve
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES
+from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES, bare, legend_below
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
 
@@ -82,7 +81,8 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
             if row == 0:
                 axes.set_title(f"{angle:g} deg flexion", fontsize=10)
         grid[row, 0].set_ylabel(_words(COORDINATES[coordinate]), fontsize=SMALL + 1)
-    _legend(figure, next(x for x in grid.flat if x.get_visible()))
+    shown = next(x for x in grid.flat if x.get_visible())
+    legend_below(figure, *shown.get_legend_handles_labels(), columns=9)
     return figure
 
 
@@ -100,7 +100,7 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
         grid[-1, column].set_xlabel(_words(LOADS[axis]), fontsize=SMALL)
     for row, coordinate in enumerate(COORDINATES):
         grid[row, 0].set_ylabel(_words(coordinate), fontsize=SMALL)
-    _legend(figure, grid[0, 0])
+    legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=9)
     return figure
 
 
@@ -128,9 +128,9 @@ def by_flexion_figure(curves: LaxityCurves) -> Figure:
         axes.set_ylabel(_words(coordinate), fontsize=SMALL + 1)
         axes.set_xlabel("flexion [deg]", fontsize=SMALL + 1)
         axes.tick_params(labelsize=SMALL, labelbottom=True)
-        axes.spines[["top", "right"]].set_visible(False)
+        bare(axes)
     grid.flat[-1].remove()
-    _legend(figure, grid.flat[0])
+    legend_below(figure, *grid.flat[0].get_legend_handles_labels(), columns=9)
     return figure
 
 
@@ -167,15 +167,7 @@ def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
         )  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.tick_params(labelsize=SMALL)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    found = axes.get_legend_handles_labels()
-    handles: Sequence[Artist] = found[0]
-    figure.legend(
-        handles, found[1], loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
-    )
+    bare(axes)
 
 
 def _words(column: str) -> str:

@@ -1,49 +1,63 @@
-"""An answer in a notebook, with table and figure."""
+"""Answers outside the report: in a notebook, and the knee in three dimensions as a page."""
 
 from base64 import b64encode
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from markupsafe import escape
 from matplotlib.figure import Figure
 
-from identknee.report.drawing import Drawing
+from identknee.calibrate.fit import load_start
+from identknee.laxity.table import TrialsLike, read_tests
+from identknee.model.laxity_model import model_for_tests
 from identknee.report.figures import png, show_figures
-from identknee.report.page.laxity_part import laxity_drawings
-from identknee.report.page.markup import bullets, element, paragraph, table_html
-from identknee.report.page.results import Findings, Result, drawings
-from identknee.report.presenter import main_statements, statements_of
+from identknee.report.page.markup import document, parts
+from identknee.report.page.results import Findings, Result, drawings, laxity_drawings
+from identknee.report.page.viewer import model_scene, scene_of, viewer_html
+from identknee.report.presenter import Drawing, main_statements, statements_of
+from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import finding_lines
 from identknee.runs.record import record
 from identknee.runs.schema import summary_of
+from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.registry import verbs_with_answer
 
 # Bytes of a picture and of a whole answer in a notebook, which keeps every one of them.
 MOST_BYTES = 130_000
 SHARPNESS = (110, 90, 70, 50, 35)
-STYLE = "max-width: 60em; overflow-x: auto"
 
 
 def result_of(answer: Answer, folder: Path | None = None) -> Result:
     """The answer as the report takes it, as if it had been read from `folder`."""
-    made = answer.record or record(_verb_of(answer), {}, {}).finish()
+    made = (
+        answer.record
+        or record(next(verbs_with_answer(type(answer).__name__)).name, {}, {}).finish()
+    )
     summary = {**summary_of(answer), "record": made.to_dict()}
     return Result(folder=folder or Path(made.verb), summary=summary, answer=answer)
-
-
-def _verb_of(answer: Answer) -> str:
-    return next(verbs_with_answer(type(answer).__name__)).name
 
 
 def answer_html(answer: Answer) -> str:
     """The answer for a notebook: its main sentences, a table and one figure, at most 200 kB."""
     main = main_statements(answer)
-    sentences = "".join(paragraph(x.sentence) for x in main)
-    tables = [x for said in (*main, *statements_of(answer)) for x in said.tables]
-    table = "".join(table_html(x.first_rows()) for x in tables[:1])
-    remarks = bullets(paragraph(x) for x in finding_lines(answer.findings))
-    drawn = _drawings(answer)
-    picture = _picture(drawn[0]) if drawn else ""
-    return element("div", sentences + table + picture + remarks, style=STYLE)
+    tables = [x.first_rows() for said in (*main, *statements_of(answer)) for x in said.tables]
+    picture, caption = b"", ""
+    for drawing in _drawings(answer)[:1]:
+        caption = drawing.caption
+        # As sharp a picture as fits.
+        for dots in SHARPNESS:
+            if len(picture := png(drawing.figure, dots)) <= MOST_BYTES:
+                break
+    return str(
+        parts().notebook_answer(
+            [x.sentence for x in main],
+            tables[:1],
+            b64encode(picture).decode("ascii"),
+            caption,
+            finding_lines(answer.findings),
+        )
+    )
 
 
 def answer_figure(answer: Answer, name: str | None = None) -> Figure:
@@ -63,15 +77,61 @@ def _drawings(answer: Answer) -> tuple[Drawing, ...]:
     return (*drawings(result), *(x for _, x in laxity_drawings(findings)))
 
 
-def _picture(drawing: Drawing) -> str:
-    source = f"data:image/png;base64,{b64encode(_small_png(drawing.figure)).decode('ascii')}"
-    image = f'<img src="{source}" style="max-width: 100%">'
-    return element("figure", image + element("figcaption", drawing.caption), style="margin: 0")
+HEIGHT = "720"
 
 
-def _small_png(figure: Figure) -> bytes:
-    """As sharp a picture as fits."""
-    for dots in SHARPNESS:
-        if len(content := png(figure, dots)) <= MOST_BYTES:
-            break
-    return content
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene3D:
+    """The knee as a page to turn it on, trial by trial; a notebook shows it.
+
+    Attributes
+    ----------
+    html
+        The page. It needs no network, so it holds all of plotly: 5 MB.
+    """
+
+    html: str = field(repr=False)
+
+    def write(self, path: PathLike) -> Path:
+        """The file `path`, written for a browser."""
+        return write_atomically(Path(path), self.html)
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{escape(self.html)}" title="The knee in three dimensions" '
+            f'width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
+        )
+
+
+def scene_3d(
+    knee: Knee, answer: Answer | None = None, *, protocol: TrialsLike = "seed63"
+) -> Scene3D:
+    """The knee in three dimensions, with ligament forces and contact in every trial.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    answer
+        A fit, a simulation or a diagnosis of it: its parameters are shown. Those of the subject if
+        None.
+    protocol
+        The trials to show where there is no answer: a protocol, the name of one, its TOML file, or
+        a laxity table.
+
+    Raises
+    ------
+    ValueError
+        If the answer says nothing about this knee's poses.
+    """
+    if answer is None:
+        model = model_for_tests(knee, read_tests(protocol))
+        scene = model_scene(model, load_start("subject", model.parameters))
+    elif found := scene_of(Findings(subject=knee.name, results=(result_of(answer),)), knee):
+        scene = found
+    else:
+        raise ValueError(
+            f"{type(answer).__name__} holds no poses of this knee; give a fit, a simulation or "
+            "a diagnosis of it, or no answer"
+        )
+    return Scene3D(html=document(f"Knee {knee.name}", viewer_html(scene), has_viewer=True))

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum, unique
 from math import inf, isinf, sqrt
 
@@ -15,9 +14,15 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.fit import fit_statements
-from identknee.report.presenter import of_type, presenter_of, statements_of
-from identknee.report.range import NOT_CONVERGED, Range, Source
+from identknee.report.presenter import (
+    NOT_CONVERGED,
+    Range,
+    Source,
+    of_type,
+    presenter_of,
+    statements_of,
+)
+from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -51,20 +56,12 @@ class Relation(Enum):
     OPEN = "leaves it open"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Agreement:
-    """What other methods say of a quantity beside the main one.
+    """What other methods say of a quantity beside the main one."""
 
-    Attributes
-    ----------
-    main
-        What the table shows.
-    others
-        Every other method with how it lies to it.
-    """
-
-    main: Range
-    others: tuple[tuple[Range, Relation], ...]
+    main: Range = entry("What the table shows")
+    others: tuple[tuple[Range, Relation], ...] = entry("Every other method with how it lies to it")
 
     @property
     def differing(self) -> tuple[tuple[Range, Relation], ...]:
@@ -97,7 +94,7 @@ class Agreement:
             return f"{'both' if n == 2 else f'all {n}'} agree"
         parts = [f"{agreeing} of {n} agree"] if agreeing > 1 else []
         parts += [
-            f"{x.source.value} {relation.value} ({_range(x, unit)})"
+            f"{x.source.value} {relation.value} ({interval((x.low, x.high), unit)})"
             for x, relation in self.differing
         ]
         return "; ".join(parts)
@@ -173,10 +170,6 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
         return x.low, x.high
     factor = 1.0 / sqrt(x.reach or 1.0)
     return x.value + factor * (x.low - x.value), x.value + factor * (x.high - x.value)
-
-
-def _range(x: Range, unit: str) -> str:
-    return interval((x.low, x.high), unit)
 
 
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
@@ -255,7 +248,7 @@ def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
 
 
 def _each(fits: Iterable[Calibration]) -> Iterator[str]:
-    yield from (next(fit_statements(x)).sentence for x in fits)
+    yield from (statements_of(x)[0].sentence for x in fits)
 
 
 def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
@@ -342,66 +335,45 @@ class Tone(Enum):
     WRONG = "wrong"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Row:
-    """A parameter or force in the table.
+    """A parameter or force in the table."""
 
-    Attributes
-    ----------
-    name
-        Its name in results.
-    label
-        The same in words.
-    estimate, limits
-        With their unit.
-    status
-        What is known, in a word or three.
-    agreement
-        Whether methods agree, and if not how they differ.
-    found
-        The same in numbers.
-    """
-
-    name: str
-    label: str
-    estimate: str
-    limits: str
-    status: str
-    agreement: str
-    found: Agreement
+    name: str = entry("Its name in results")
+    label: str = entry("The same in words")
+    estimate: str = entry("Estimate with its unit")
+    limits: str = entry("Set with its unit")
+    status: str = entry("What is known, in a word or three")
+    agreement: str = entry("Whether methods agree, and if not how they differ")
+    found: Agreement = entry("The same in numbers")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Overview:
-    """What all results of one data set say together.
+    """What all results of one data set say together."""
 
-    Attributes
-    ----------
-    verdict
-        One sentence or two; empty where no result says anything of parameters or model.
-    tone
-        How it is meant.
-    rows
-        Parameters, then forces.
-    reasons
-        Why methods differ, in one line; empty where they do not.
-    searches
-        Sentences of fits and searches.
-    next_tests
-        Tests to do, each with what it would bring.
-    """
-
-    verdict: str
-    tone: Tone
-    rows: tuple[Row, ...]
-    reasons: str
-    searches: tuple[str, ...]
-    next_tests: tuple[str, ...]
+    verdict: str = entry(
+        "One sentence or two; empty where no result says anything of parameters or model"
+    )
+    tone: Tone = entry("How it is meant")
+    rows: tuple[Row, ...] = entry("Parameters, then forces")
+    reasons: str = entry("Why methods differ, in one line; empty where they do not")
+    searches: tuple[str, ...] = entry("Sentences of fits and searches")
+    next_tests: tuple[str, ...] = entry("Tests to do, each with what it would bring")
 
 
 def overview(answers: Sequence[Answer]) -> Overview:
     """What these answers, all of one data set, say together."""
-    trials = _trial_words(answers)
+    trials: dict[str, str] = {}
+    for answer in answers:
+        data = getattr(answer, "data", None)
+        if isinstance(data, Laxity):
+            protocol = data.protocol
+            for name, flexion, loads in zip(
+                protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
+            ):
+                values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
+                trials[name] = trial_description(values)
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
@@ -415,21 +387,6 @@ def overview(answers: Sequence[Answer]) -> Overview:
         searches=searches_sentences(answers),
         next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
     )
-
-
-def _trial_words(answers: Sequence[Answer]) -> dict[str, str]:
-    """Loads and flexion of each trial in words, by its name."""
-    found: dict[str, str] = {}
-    for answer in answers:
-        data = getattr(answer, "data", None)
-        if isinstance(data, Laxity):
-            protocol = data.protocol
-            for name, flexion, loads in zip(
-                protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
-            ):
-                values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
-                found[name] = trial_description(values)
-    return found
 
 
 def _shown(ranges: Mapping[str, Sequence[Range]]) -> Iterator[tuple[str, Sequence[Range]]]:

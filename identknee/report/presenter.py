@@ -4,21 +4,145 @@ Nothing here loads figures or the answers of other verbs: a terminal prints what
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import Enum, unique
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from identknee.laxity.protocol import Protocol
-from identknee.report.statement import Question, Statement
+from identknee.report.tables import Table
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding
+from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from identknee.report.drawing import Drawing
     from identknee.report.laxity_figures import LaxityCurves
-    from identknee.report.range import Range
+
+# So many trials are listed by name.
+MOST_NAMED = 8
+
+
+def assumption_sentences(answer: Answer) -> tuple[str, ...]:
+    """The assumptions of an answer, as sentences."""
+    trials = answer.trials_used
+    if not trials:
+        return answer.assumptions
+    names = f": {listed(trials)}" if len(trials) <= MOST_NAMED else ""
+    many = "1 measured trial" if len(trials) == 1 else f"{len(trials)} measured trials"
+    return (f"The result rests on {many}{names}.", *answer.assumptions)
+
+
+@unique
+class Question(Enum):
+    """What a reader asks, in the order of the page; the value is its place on the page."""
+
+    KNOWN = "known"
+    WRONG = "wrong"
+    NEXT = "next"
+    LAXITY = "laxity"
+    SEARCH = "search"
+
+    @property
+    def heading(self) -> str:
+        """How the page puts it."""
+        return _HEADINGS[self]
+
+
+_HEADINGS = {
+    Question.KNOWN: "What is known, and what is not",
+    Question.WRONG: "What the model gets wrong, and why",
+    Question.NEXT: "Which test to do next",
+    Question.LAXITY: "Measured and simulated laxity",
+    Question.SEARCH: "How the parameters were searched for",
+}
+
+
+@declared
+class Statement:
+    """A sentence with its tables and figures."""
+
+    question: Question = entry("What it answers")
+    sentence: str = entry("One or a few whole sentences")
+    tables: tuple[Table, ...] = entry("The numbers behind it", default=())
+    is_answer: bool = entry("Whether it leads its part of the page", default=False)
+    warning: Finding | None = entry(
+        "Findings: warnings about the result, where the sentence does; it leads the page",
+        default=None,
+    )
+
+
+@declared
+class Drawing:
+    """A figure with what stands below it and what is said in its place."""
+
+    name: str = entry("Name of its file, without an ending")
+    figure: "Figure" = entry("The figure")
+    caption: str = entry("How to read it")
+    description: str = entry("What it shows, for those who do not see it")
+
+
+# Of a normal distribution, half of its central 95 %.
+SDS_95 = 1.96
+NOT_CONVERGED = "not converged"
+
+
+@unique
+class Source(Enum):
+    """A method, the most telling first; the value is its name in a sentence."""
+
+    PROFILE = "profile"
+    POSTERIOR = "posterior"
+    DIAGNOSIS = "diagnosis"
+    CAUSE = "diagnosis with the cause"
+    INFORMATION = "local approximation"
+    EQUIVALENTS = "equivalent set"
+
+
+@declared
+class Range:
+    """What one method says of one quantity."""
+
+    source: Source = entry("The method")
+    low: float | None = entry("Lower end of its 95 % set or range; None where open")
+    high: float | None = entry("Upper end; None where open")
+    value: float | None = entry("Its estimate; None where it has none")
+    status: str = entry("What is known, in a word or three")
+    # A range of another limit is scaled by its root before it is compared.
+    reach: float | None = entry(
+        "Limit of the squared misfit that it stands for, over the one of a 95 % set; None where "
+        "the two cannot be compared",
+        default=1.0,
+    )
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it has both ends."""
+        return self.low is not None and self.high is not None
+
+    @property
+    def width(self) -> float:
+        """From end to end; infinite where one is open."""
+        if self.low is None or self.high is None:
+            return float("inf")
+        return self.high - self.low
+
+
+def open_ends_text(low: float | None, high: float | None) -> str:
+    """Which ends of a range are open.
+
+    Examples
+    --------
+    >>> open_ends_text(1.0, 2.0), open_ends_text(1.0, None), open_ends_text(None, None)
+    ('known', 'open above', 'not known')
+    """
+    if low is None:
+        return "not known" if high is None else "open below"
+    return "open above" if high is None else "known"
+
 
 Given = TypeVar("Given", bound=Answer)
 # Laxity of all that fits as well: its name, shape ``(n, trial, 5)``, and the quantiles of its ends.
@@ -49,7 +173,7 @@ class Presenter(Generic[Given]):
     Attributes
     ----------
     question
-        The part of the page where their figures stand.
+        The part of the page where their figures stand, and what `say` says.
     questions
         Figures that stand elsewhere, by their names.
     is_folded
@@ -64,7 +188,13 @@ class Presenter(Generic[Given]):
         """What the answer says, its main sentence first."""
         raise NotImplementedError
 
-    def drawings(self, _answer: Given, _subject: str, _knee: Knee | None) -> Iterator["Drawing"]:
+    def say(self, sentence: str, *tables: Table, is_answer: bool = False) -> Statement:
+        """A statement in the part of the page where such answers stand."""
+        return Statement(
+            question=self.question, sentence=sentence, tables=tables, is_answer=is_answer
+        )
+
+    def drawings(self, _answer: Given, _subject: str, _knee: Knee | None) -> Iterator[Drawing]:
         """All figures, the most telling first, with name and knee of the subject if known."""
         yield from ()
 
@@ -80,7 +210,7 @@ class Presenter(Generic[Given]):
         """Figures that the command leaves beside the results, by the names of their files."""
         return {}
 
-    def ranges(self, _answer: Given) -> Iterator[tuple[str, "Range"]]:
+    def ranges(self, _answer: Given) -> Iterator[tuple[str, Range]]:
         """Parameters and forces, by its name."""
         yield from ()
 

@@ -3,8 +3,7 @@
 import textwrap
 from typing import TYPE_CHECKING
 
-from identknee.report.presenter import main_statements, statements_of
-from identknee.report.statement import assumption_sentences
+from identknee.report.presenter import assumption_sentences, main_statements, statements_of
 from identknee.runs.findings import finding_lines
 from identknee.verbs.answer import Answer
 

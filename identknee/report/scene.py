@@ -1,6 +1,5 @@
 """A picture of a knee: its surfaces, ligaments and axes, as Figure 1 of the paper shows them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +10,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
+from identknee.mechanics.contact_points import distances
+from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.pose import Placement, place, start_pose
 from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 FEMUR, TIBIA, LIGAMENT = "#8ec7e8", "#5b9bc8", "#c8102e"
@@ -28,24 +30,17 @@ LIGHT = np.array([0.35, 0.45, 0.82])  # right, up, toward the reader
 AMBIENT = 0.55
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class View:
-    """Directions of a parallel projection in femoral axes.
+    """Directions of a parallel projection in femoral axes."""
 
-    Attributes
-    ----------
-    right, up, toward
-        Unit vectors to the right and top of the page and toward the reader, shape ``(3,)``.
-    """
-
-    right: Array
-    up: Array
-    toward: Array
+    right: Array = entry("Unit vector to the right of the page, shape ``(3,)``")
+    up: Array = entry("Unit vector to its top")
+    toward: Array = entry("Unit vector toward the reader")
 
     def project(self, points: Array) -> Array:
         """Right, up and toward the reader [mm] of points ``(..., 3)``, in the same shape."""
-        projected: Array = points @ np.stack([self.right, self.up, self.toward], axis=1)
-        return projected
+        return np.asarray(points @ np.stack([self.right, self.up, self.toward], axis=1))
 
 
 def view_from(azimuth_deg: float, elevation_deg: float) -> View:
@@ -104,12 +99,7 @@ def scene(
 
 
 def draw_scene(
-    axes: Axes,
-    knee: Knee,
-    view: View,
-    *,
-    pose: ArrayLike | None = None,
-    flexion_deg: float = 0.0,
+    axes: Axes, knee: Knee, view: View, *, pose: ArrayLike | None = None, flexion_deg: float = 0.0
 ) -> None:
     """Draw what `scene` shows into `axes`."""
     placement = _placement(knee, pose, flexion_deg)
@@ -123,14 +113,79 @@ def draw_scene(
         for vertices, surface in zip(tibia, knee.tibia, strict=True)
     ]
     parts += [_ribbon(view, a, b) for a, b in zip(femoral, tibial, strict=True)]
-    _paint(axes, parts)
+    corners = [polygon for part in parts for polygon in part.corners]
+    colours = np.concatenate([part.colours for part in parts])
+    smooth = np.concatenate([np.full(len(part.depths), part.smooth) for part in parts])
+    edges = np.where(smooth[:, None], colours, 0.0)
+    order = np.argsort(np.concatenate([part.depths for part in parts]), kind="stable")
+    axes.add_collection(
+        PolyCollection(
+            [corners[i] for i in order],
+            facecolors=colours[order],
+            edgecolors=edges[order],
+            linewidths=0.3,
+            antialiaseds=smooth[order].tolist(),
+        )
+    )
+    axes.autoscale_view()
     femoral_axes = FEMUR_AXIS_LENGTH * np.eye(3)
     tibial_axes = TIBIA_AXIS_LENGTH * placement.rotation.T
     _draw_axes(axes, view, np.zeros(3), femoral_axes, FEMUR_AXES)
     _draw_axes(axes, view, placement.translation, tibial_axes, TIBIA_AXES)
-    _name_axes(axes, view, femoral_axes)
-    _label_ligaments(axes, view, [x.name for x in knee.ligaments], tibial)
-    _finish(axes)
+    for tip, name in zip(view.project(femoral_axes)[:, :2], AXIS_NAMES, strict=True):
+        right, up = 7.0 * tip / max(float(np.hypot(*tip)), 1e-9)
+        axes.annotate(
+            name,
+            tip,
+            (right, up),
+            textcoords="offset points",
+            fontsize=9,
+            ha="left" if right > 3 else "right" if right < -3 else "center",
+            va="center" if abs(up) < 4 else "bottom" if up > 0 else "top",
+        )
+    names = [x.name for x in knee.ligaments]
+    places = view.project(tibial)[:, :2]
+    middle = places[:, 0].mean()
+    for name, (x, y) in zip(names, places, strict=True):
+        right = x >= middle
+        axes.annotate(
+            name,
+            (x, y),
+            (6 if right else -6, -4),
+            textcoords="offset points",
+            color=LIGAMENT,
+            fontsize=9,
+            fontweight="bold",
+            ha="left" if right else "right",
+            va="top",
+        )
+    axes.set_aspect("equal")
+    axes.margins(0.12)
+    axes.autoscale_view()
+    left, bottom = axes.get_xlim()[0], axes.get_ylim()[0]
+    axes.plot([left, left + SCALE_BAR], [bottom, bottom], color="black", linewidth=2)
+    axes.annotate(
+        f"{SCALE_BAR:g} mm", (left, bottom), (0, 4), textcoords="offset points", fontsize=8
+    )
+    keys = {"femoral axes": FEMUR_AXES, "tibial axes": TIBIA_AXES, "ligaments": LIGAMENT}
+    axes.legend(
+        handles=[Line2D([], [], color=x, linewidth=2, label=name) for name, x in keys.items()],
+        loc="lower right",
+        frameon=False,
+        fontsize=8,
+    )
+    axes.set_axis_off()
+
+
+def distance_from_femur(field: DistanceField, places: Array) -> Array:
+    """Distance of places from the femur [mm]; NaN beyond the grid of the field."""
+    places = field.to_field(places)
+    cell = np.floor((places - field.origin) / field.spacing)
+    # The outermost cells of the grid lack the support of the spline.
+    inner = ((cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)).all(axis=1)
+    found = np.full(len(places), np.nan)
+    found[inner] = distances(field, places[inner])[0]
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,25 +239,6 @@ def _ribbon(view: View, start: Array, end: Array) -> _Polygons:
     return _Polygons(corners=corners, depths=depths, colours=colours, smooth=True)
 
 
-def _paint(axes: Axes, parts: Sequence[_Polygons]) -> None:
-    """Put all polygons on the page, the farthest first."""
-    corners = [polygon for part in parts for polygon in part.corners]
-    colours = np.concatenate([part.colours for part in parts])
-    smooth = np.concatenate([np.full(len(part.depths), part.smooth) for part in parts])
-    edges = np.where(smooth[:, None], colours, 0.0)
-    order = np.argsort(np.concatenate([part.depths for part in parts]), kind="stable")
-    axes.add_collection(
-        PolyCollection(
-            [corners[i] for i in order],
-            facecolors=colours[order],
-            edgecolors=edges[order],
-            linewidths=0.3,
-            antialiaseds=smooth[order].tolist(),
-        )
-    )
-    axes.autoscale_view()
-
-
 def _draw_axes(axes: Axes, view: View, origin: Array, arrows: Array, colour: str) -> None:
     """Arrows from `origin` along the rows of `arrows`."""
     style = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
@@ -211,60 +247,3 @@ def _draw_axes(axes: Axes, view: View, origin: Array, arrows: Array, colour: str
         tip = view.project(origin + arrow)[:2]
         axes.annotate("", (tip[0], tip[1]), (foot[0], foot[1]), arrowprops=style)
         axes.update_datalim([tip])
-
-
-def _name_axes(axes: Axes, view: View, arrows: Array) -> None:
-    """Names beyond the tips of the femur's arrows."""
-    for tip, name in zip(view.project(arrows)[:, :2], AXIS_NAMES, strict=True):
-        right, up = 7.0 * tip / max(float(np.hypot(*tip)), 1e-9)
-        axes.annotate(
-            name,
-            tip,
-            (right, up),
-            textcoords="offset points",
-            fontsize=9,
-            ha="left" if right > 3 else "right" if right < -3 else "center",
-            va="center" if abs(up) < 4 else "bottom" if up > 0 else "top",
-        )
-
-
-def _label_ligaments(axes: Axes, view: View, names: Sequence[str], ends: Array) -> None:
-    """Names at the tibial ends, on the side away from the middle."""
-    places = view.project(ends)[:, :2]
-    middle = places[:, 0].mean()
-    for name, (x, y) in zip(names, places, strict=True):
-        right = x >= middle
-        axes.annotate(
-            name,
-            (x, y),
-            (6 if right else -6, -4),
-            textcoords="offset points",
-            color=LIGAMENT,
-            fontsize=9,
-            fontweight="bold",
-            ha="left" if right else "right",
-            va="top",
-        )
-
-
-def _finish(axes: Axes) -> None:
-    axes.set_aspect("equal")
-    axes.margins(0.12)
-    axes.autoscale_view()
-    left, bottom = axes.get_xlim()[0], axes.get_ylim()[0]
-    axes.plot([left, left + SCALE_BAR], [bottom, bottom], color="black", linewidth=2)
-    axes.annotate(
-        f"{SCALE_BAR:g} mm",
-        (left, bottom),
-        (0, 4),
-        textcoords="offset points",
-        fontsize=8,
-    )
-    keys = {"femoral axes": FEMUR_AXES, "tibial axes": TIBIA_AXES, "ligaments": LIGAMENT}
-    axes.legend(
-        handles=[Line2D([], [], color=x, linewidth=2, label=name) for name, x in keys.items()],
-        loc="lower right",
-        frameon=False,
-        fontsize=8,
-    )
-    axes.set_axis_off()

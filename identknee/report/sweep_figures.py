@@ -120,7 +120,7 @@ def start_end_figure(
         Line2D([], [], linestyle="", marker="+", color=BLACK, markersize=11, label=mark),
     ]
     handles: list[Artist] = [*marks, *ends_at]
-    legend_below(figure, handles, [str(x.get_label()) for x in handles])
+    legend_below(figure, handles)
     return figure
 
 
@@ -151,13 +151,7 @@ FLOOR = 1e-3
 
 
 def starts_figure(fits: Sequence[StartFits]) -> Figure:
-    """Figure with parameter errors on the left and laxity errors on the right, one dot a run.
-
-    Parameters
-    ----------
-    fits
-        By method and start.
-    """
+    """Figure with parameter errors on the left and laxity errors on the right, one dot a run."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     _dots(left, fits, "error_kN")
@@ -203,4 +197,4 @@ def _dots(axes: Axes, fits: Sequence[StartFits], quantity: str) -> None:
         fontsize=7,
         color="0.4",
     )
-    axes.spines[["top", "right"]].set_visible(False)
+    bare(axes)

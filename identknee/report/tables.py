@@ -2,8 +2,9 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,7 +64,7 @@ Cell = str | float | int | None
 MOST_ROWS = 12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Column:
     """Head of a column.
 
@@ -71,15 +72,15 @@ class Column:
     ----------
     name
         What stands in it.
-    unit
-        Unit of its numbers; empty for text, counts and ratios.
     decimals
         Places after the point; None for as many as four significant digits need.
+    unit
+        Unit of its numbers; empty for text, counts and ratios.
     """
 
     name: str
-    unit: str = ""
     decimals: int | None = 2
+    unit: str = ""
 
     @property
     def head(self) -> str:
@@ -177,6 +178,25 @@ class Table:
         return i == 0 or any(isinstance(row[i], str) for row in self.rows)
 
 
+def table(
+    title: str,
+    heads: Iterable[str | tuple[Any, ...]],
+    rows: Iterable[Iterable[Cell]],
+    most: int | None = None,
+) -> Table:
+    """A table; a head is a name, or a name with its decimals and, where it has one, its unit.
+
+    Examples
+    --------
+    >>> print(table("Ends", ["name", ("force", 1, "N")], [["ACL", 71.25]]))
+    Ends
+    name  force [N]
+    ACL        71.2
+    """
+    columns = tuple(Column(x) if isinstance(x, str) else Column(*x) for x in heads)
+    return Table(title=title, columns=columns, rows=tuple(map(tuple, rows)), most=most)
+
+
 def filled(text: str, tables: Mapping[str, "Table | str"]) -> str:
     """`text` with each table between ``<!-- NAME -->`` and ``<!-- end NAME -->`` put in anew.
 
@@ -192,7 +212,8 @@ def filled(text: str, tables: Mapping[str, "Table | str"]) -> str:
             rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end {re.escape(name)} -->)", re.DOTALL
         )
         content = table if isinstance(table, str) else table.markdown()
-        text, count = place.subn(_between(content), text)
+        whole = content.replace("\\", "\\\\")
+        text, count = place.subn(rf"\g<1>{whole}\n\g<2>", text)
         if count != 1:
             raise ValueError(
                 f"the text has {count} places for {name!r}; mark one with <!-- {name} --> and "
@@ -214,10 +235,6 @@ def median_range(values: Spread, decimals: int = 2) -> str:
         return "-"
     low, high = f"{values.low:.{decimals}f}", f"{values.high:.{decimals}f}"
     return f"{values.median:.{decimals}f} [{low}, {high}]"
-
-
-def _between(content: str) -> Callable[[re.Match[str]], str]:
-    return lambda match: f"{match[1]}{content}\n{match[2]}"
 
 
 def _text(cell: Cell, column: Column) -> str:

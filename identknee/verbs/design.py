@@ -24,21 +24,10 @@ from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, ty
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Level,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
@@ -127,8 +116,8 @@ class Design(Answer):
 @verb
 def design(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_trials: Annotated[int, option("Number of trials to add.", least=1)] = 4,
     targets: Annotated[
@@ -156,13 +145,13 @@ def design(
             "compression and pairs of loads at 0 to 120 deg, and repeats."
         ),
     ] = None,
-    level: Level = 0.95,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    level: options.Level = 0.95,
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
@@ -178,7 +167,15 @@ def design(
     """
     asked = None if candidates is None else read_trials(candidates)
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    offered = _candidate_trials(setup, asked)
+    made = setup.laxity.protocol
+    protocol = offered_laxity(setup.model, made) if asked is None else asked
+    offered = CandidateLaxity(
+        model=setup.model,
+        laxity=setup.laxity,
+        protocol=protocol,
+        sd=typical_errors(_with_errors(setup)),
+        free=setup.free,
+    )
     wanted = [_target(setup, name) for name in targets or ()]
     degrees = setup.degrees_of_freedom
     run.start_clock()
@@ -208,11 +205,7 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        assumptions=(
-            *setup.assumptions,
-            *about_errors,
-            *candidate_path_findings(setup.model),
-        ),
+        assumptions=(*setup.assumptions, *about_errors, *candidate_path_findings(setup.model)),
         **setup.uncertain_at(fits[0].theta),
         findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
     )
@@ -233,18 +226,6 @@ def _marginalisation_sentence(
         "the trials that may be added, which share them."
     )
     return (sentence,)
-
-
-def _candidate_trials(setup: Identification, asked: Protocol | None) -> CandidateLaxity:
-    made = setup.laxity.protocol
-    protocol = offered_laxity(setup.model, made) if asked is None else asked
-    return CandidateLaxity(
-        model=setup.model,
-        laxity=setup.laxity,
-        protocol=protocol,
-        sd=typical_errors(_with_errors(setup)),
-        free=setup.free,
-    )
 
 
 def _with_errors(setup: Identification) -> Laxity:

@@ -18,6 +18,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.progress import planned
 from identknee.runs.record import Outcome
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
     Identification,
@@ -26,18 +27,7 @@ from identknee.verbs.identification import (
     no_prediction,
 )
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.values import BoundsLike, bounds_of, check_word
 from identknee.verbs.verb import Run, verb
 
@@ -85,8 +75,8 @@ class Equivalents(Answer):
 @verb
 def equivalents(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_sets: Annotated[int, option("Number of parameter sets to find.", least=2)] = 100,
     criterion: Annotated[
@@ -112,15 +102,14 @@ def equivalents(
         ),
     ] = "largest",
     trials: Annotated[
-        TrialsLike | None,
-        trials_option("Trials of the forces, if not those of the data: {}."),
+        TrialsLike | None, trials_option("Trials of the forces, if not those of the data: {}.")
     ] = None,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Equivalents:
     """Parameter sets that the data cannot distinguish, as different as possible.
 
@@ -150,7 +139,17 @@ def equivalents(
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
     n, q = setup.problem.parameters.n, len(quantities)
     told = f"finding the ranges of {n} parameters and {q} ligament forces"
-    with planned(told, _work(n, q, n_sets), shorter=SHORTER):
+    with planned(
+        told,
+        {
+            "simulating sets": [0.017] * (3 * n_sets),
+            # Extrema of parameters, of which there is a first guess, and of forces.
+            "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * q),
+            "finding the diameter": [0.05] * 12,
+            "looking along rays": [0.32] * 20,
+        },
+        shorter=SHORTER,
+    ):
         sets = equivalent_sets(
             region,
             quantities=quantities,
@@ -175,17 +174,6 @@ def equivalents(
         **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
     )
-
-
-def _work(n: int, n_quantities: int, n_sets: int) -> dict[str, list[float]]:
-    """What each piece of work of both rounds costs, beside the others."""
-    return {
-        "simulating sets": [0.017] * (3 * n_sets),
-        # Extrema of parameters, of which there is a first guess, and of forces.
-        "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * n_quantities),
-        "finding the diameter": [0.05] * 12,
-        "looking along rays": [0.32] * 20,
-    }
 
 
 def _region(

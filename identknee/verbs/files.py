@@ -91,12 +91,6 @@ def loaded(file: Path, summary: Mapping[str, Any], cls: type[Given]) -> Given:
     # What mutated files hold may be of any kind where a table or a list should stand.
     except (AttributeError, IndexError, KeyError, TypeError) as error:
         raise InputError(file, "", f"it does not fit its arrays ({error})", AGAIN) from error
-    _check_agreement(file, summary, answer)
-    return answer
-
-
-def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> None:
-    """Refuse a summary that says something else than the answer made of it."""
     again = plain(summary_of(answer))
     for key, value in again.items():
         # A result of an earlier version lacks what was added since.
@@ -104,6 +98,7 @@ def _check_agreement(file: Path, summary: Mapping[str, Any], answer: Answer) -> 
             continue
         if key not in ("record", *PROSE) and not _is_same(summary.get(key), value):
             raise InputError(file, key, "it does not agree with the rest of the result", AGAIN)
+    return answer
 
 
 def _is_same(stored: Any, again: Any) -> bool:

@@ -55,18 +55,9 @@ from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
+from identknee.verbs import options
 from identknee.verbs.identification import with_noise
-from identknee.verbs.options import (
-    LOAD_STEPS,
-    Bounds,
-    Data,
-    KneeOptions,
-    Method,
-    Noise,
-    Seed,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
 from identknee.verbs.verb import Run, verb, warm_up
@@ -341,14 +332,19 @@ class Calibration(SimulatedLaxity):
     @derived("Measured trials in which the model has no prediction", only="a trial lost")
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
         """Measured trials in which the model has no prediction."""
-        return _trials_without_equilibrium(self.trials, self.data)
+        measured = np.any(self.data.is_measured, axis=1).tolist()
+        return tuple(
+            x
+            for x, is_measured in zip(self.trials, measured, strict=True)
+            if is_measured and x.outcome is not Outcome.CONVERGED
+        )
 
 
 @verb
 def fit(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     start: Annotated[
         str,
@@ -357,7 +353,7 @@ def fit(
             "ending in .toml."
         ),
     ] = "subject",
-    method: Method = "least-squares",
+    method: options.Method = "least-squares",
     budget: Annotated[
         int | None, option("Largest number of simulations; 2,500 if not given.")
     ] = None,
@@ -369,7 +365,7 @@ def fit(
             in_python="Always noise with --noise.",
         ),
     ] = "unit",
-    noise: Noise = None,
+    noise: options.Noise = None,
     likelihood: Annotated[
         Likelihood,
         option(
@@ -393,7 +389,7 @@ def fit(
             metavar="NAME",
         ),
     ] = None,
-    bounds: Bounds = None,
+    bounds: options.Bounds = None,
     hold_out: Annotated[
         Sequence[str] | None,
         option(
@@ -403,9 +399,9 @@ def fit(
             metavar="TRIAL",
         ),
     ] = None,
-    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity from one start.
 
@@ -428,11 +424,7 @@ def fit(
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
     trials = TrialSearch(
-        model=model,
-        laxity=laxity,
-        weighting=weighting,
-        bounds=bounds_of(bounds),
-        fixed=fixed or (),
+        model=model, laxity=laxity, weighting=weighting, bounds=bounds_of(bounds), fixed=fixed or ()
     )
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(subject, laxity.protocol)
@@ -484,16 +476,6 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
         fitted=dict(zip(parameters.names, theta.tolist(), strict=True)),
         poses=() if model.poses is None else poses_of(model.protocol, prediction.coordinates),
         contact_rounding_mm=contact_rounding(knee),
-    )
-
-
-def _trials_without_equilibrium(trials: Sequence[TrialEnd], laxity: Laxity) -> tuple[TrialEnd, ...]:
-    """The measured trials in which a simulation has no equilibrium."""
-    measured = np.any(laxity.is_measured, axis=1).tolist()
-    return tuple(
-        x
-        for x, is_measured in zip(trials, measured, strict=True)
-        if is_measured and x.outcome is not Outcome.CONVERGED
     )
 
 

@@ -24,13 +24,6 @@ def fitted_knee(knee: Knee, answer: Answer) -> Knee:
     Insertions that were taken as uncertain are where the result has them. What else was uncertain
     is an error of frames or tests, and stays out of the knee.
 
-    Parameters
-    ----------
-    knee
-        The subject of the result.
-    answer
-        Of `fit`, `profile` or `simulate`.
-
     Raises
     ------
     ValueError
@@ -62,7 +55,13 @@ def knee_as_fitted(knee: Knee) -> Knee:
 def _with_values(knee: Knee, values: Mapping[str, float], stated: Knee, pattern: Knee) -> Knee:
     """The knee at `values`, uncertain as `stated`, its bundles related as those of `pattern`."""
     shifts = _insertion_shifts(stated, values)
-    stiffness, strain = _by_ligament(pattern, values)
+    units = tied(pattern)
+    own = zip(
+        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
+    )
+    found = [(values.get(f"{x}.{STIFFNESS}", k), values.get(f"{x}.{STRAIN}", e)) for x, k, e in own]
+    stiffness, strain = np.array(found).T
+    stiffness, strain = (units.stiffness(stiffness).tolist(), units.strain(strain).tolist())
     ligaments = [
         replace(x, stiffness_kN=own_stiffness, reference_strain_pct=own_strain)
         for x, own_stiffness, own_strain in zip(knee.ligaments, stiffness, strain, strict=True)
@@ -100,17 +99,6 @@ def fitted_values(answer: Answer) -> dict[str, float]:
     )
 
 
-def _by_ligament(knee: Knee, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
-    """Stiffness and reference strain of each ligament, those of a group from what it has."""
-    units = tied(knee)
-    own = zip(
-        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist(), strict=True
-    )
-    found = [(values.get(f"{x}.{STIFFNESS}", k), values.get(f"{x}.{STRAIN}", e)) for x, k, e in own]
-    stiffness, strain = np.array(found).T
-    return units.stiffness(stiffness).tolist(), units.strain(strain).tolist()
-
-
 def with_stated_uncertainty_of(knee: Knee, answer: Answer) -> Knee:
     """The knee of a result, with the uncertainty that the call stated in place of its own.
 
@@ -140,8 +128,7 @@ def _insertion_shifts(knee: Knee, values: Mapping[str, float]) -> Array:
         return np.zeros(shape)
     nuisance = insertions(knee)
     found = np.array([values.get(x, 0.0) for x in nuisance.parameters.names])
-    shifts: Array = (nuisance.matrix @ found).reshape(shape)
-    return shifts
+    return np.asarray((nuisance.matrix @ found).reshape(shape))
 
 
 def _fitted_effect(choice: EffectChoice, values: Mapping[str, float]) -> EffectChoice:

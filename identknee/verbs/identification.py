@@ -1,7 +1,7 @@
 """Measured laxity and the model of it in units of the noise: what verbs of inference share."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
@@ -59,45 +60,35 @@ BRIEF = 60
 Sizes = tuple[float | None, float | None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Identification:
-    """Measured laxity and the model of it, ready to be asked what they determine.
+    """Measured laxity and the model of it, ready to be asked what they determine."""
 
-    Attributes
-    ----------
-    knee, laxity, model
-        The subject, the data and the model under the protocol of the data.
-    problem
-        Residuals in units of their noise, over the parameters not fixed.
-    free
-        The parameters of the problem, and the values of those of the model that are fixed.
-    start
-        Where fits begin, shape ``(n,)``.
-    degrees_of_freedom
-        Degrees of freedom of a noise estimated from the fit; None where the noise is stated.
-    estimated_noise
-        Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or no
-        such coordinate was measured.
-    assumptions
-        Assumptions, as sentences for the user.
-    lost
-        Which measured trials have no equilibrium and blank cells in `laxity`, as findings.
-    nuisances_at
-        Where the nuisances were averaged over: the problem that has them, and its best fit; None
-        where they are among the parameters.
-    """
-
-    knee: Knee
-    laxity: Laxity
-    model: LaxityModel
-    problem: Problem
-    free: FreeParameters
-    start: Array
-    degrees_of_freedom: int | None
-    estimated_noise: Sizes
-    assumptions: tuple[str, ...]
-    lost: tuple[Finding, ...] = ()
-    nuisances_at: tuple[Problem, Array] | None = None
+    knee: Knee = entry("The subject")
+    laxity: Laxity = entry("The data")
+    model: LaxityModel = entry("The model under the protocol of the data")
+    problem: Problem = entry("Residuals in units of their noise, over the parameters not fixed")
+    free: FreeParameters = entry(
+        "The parameters of the problem, and the values of those of the model that are fixed"
+    )
+    start: Array = entry("Where fits begin, shape ``(n,)``")
+    degrees_of_freedom: int | None = entry(
+        "Degrees of freedom of a noise estimated from the fit; None where the noise is stated"
+    )
+    estimated_noise: Sizes = entry(
+        "Its standard deviation for lengths and for angles [mm, deg]; None where it is stated or "
+        "no such coordinate was measured"
+    )
+    assumptions: tuple[str, ...] = entry("Assumptions, as sentences for the user")
+    lost: tuple[Finding, ...] = entry(
+        "Which measured trials have no equilibrium and blank cells in `laxity`, as findings",
+        default=(),
+    )
+    nuisances_at: tuple[Problem, Array] | None = entry(
+        "Where the nuisances were averaged over: the problem that has them, and its best fit; "
+        "None where they are among the parameters",
+        default=None,
+    )
 
     @property
     def trials_used(self) -> tuple[str, ...]:
@@ -233,7 +224,17 @@ def identification(
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
     if has_shared_errors(knee.uncertainty):
-        residuals = _with_shared_errors(residuals, theta)
+        if residuals.weighting == "unit":
+            raise ValueError(
+                "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
+                "--noise, for example --noise 0.5mm,0.5deg"
+            )
+        first = fit(with_nuisance_priors(residuals), theta)
+        if first.outcome is Outcome.START_FAILED:
+            raise NotComputable(
+                prediction_finding(residuals.model, residuals.laxity, theta).sentence
+            )
+        residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
     part = restricted(with_bounds(residuals, limits), fixed or (), theta)
     problem = with_nuisance_priors(part)
     degrees: int | None = None
@@ -244,7 +245,16 @@ def identification(
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
-        assumptions.append(_estimated_noise_finding(sizes, degrees))
+        shown = ", ".join(
+            f"{sd:.3g} {unit}"
+            for sd, unit in zip(sizes, ("mm", "deg"), strict=True)
+            if sd is not None
+        )
+        assumptions.append(
+            "The data state no noise: one standard deviation for lengths and one for angles was "
+            f"estimated from the residuals of the best fit ({shown}, {degrees} degrees of "
+            "freedom), and F thresholds are used."
+        )
     return Identification(
         knee=knee,
         laxity=laxity,
@@ -327,19 +337,6 @@ def no_prediction_finding(setup: Identification) -> Finding:
     return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
 
 
-def _with_shared_errors(residuals: LaxityResiduals, theta: Array) -> LaxityResiduals:
-    """The residuals with the stated errors marginalised, linearised at a first fit."""
-    if residuals.weighting == "unit":
-        raise ValueError(
-            "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
-            "--noise, for example --noise 0.5mm,0.5deg"
-        )
-    first = fit(with_nuisance_priors(residuals), theta)
-    if first.outcome is Outcome.START_FAILED:
-        raise NotComputable(prediction_finding(residuals.model, residuals.laxity, theta).sentence)
-    return replace(residuals, shared=shared_errors(residuals.model, first.theta))
-
-
 def _with_estimated_noise(
     part: RestrictedProblem, residuals: LaxityResiduals, theta: Array
 ) -> tuple[EstimatedNoise, Sizes]:
@@ -350,18 +347,6 @@ def _with_estimated_noise(
     found = with_estimated_noise(part, groups, part.free.restrict(theta))
     sizes = dict(zip(units.tolist(), found.sds.tolist(), strict=True))
     return found, (sizes.get(0), sizes.get(1))
-
-
-def _estimated_noise_finding(sizes: Sizes, degrees: int) -> str:
-    shown = ", ".join(
-        f"{sd:.3g} {unit}" for sd, unit in zip(sizes, ("mm", "deg"), strict=True) if sd is not None
-    )
-    return (
-        "The data state no noise: one standard deviation for lengths and one for angles was "
-        f"estimated from the residuals of the best fit ({shown}, {degrees} degrees of freedom), "
-        f"and F "
-        "thresholds are used."
-    )
 
 
 def _data_findings(laxity: Laxity, n_parameters: int) -> list[str]:

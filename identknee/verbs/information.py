@@ -13,20 +13,11 @@ from identknee.identify.information import (
 )
 from identknee.identify.information import information as fisher_information
 from identknee.runs.declare import declared, derived, entry
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.verb import Run, verb
 
 
@@ -60,8 +51,8 @@ class LocalIdentifiability(Answer):
 @verb
 def information(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     scaling: Annotated[
         Scaling,
@@ -70,12 +61,12 @@ def information(
             "the prior."
         ),
     ] = "typical",
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> LocalIdentifiability:
     """Which combinations of parameters the data determine around the best fit, and how well.
 

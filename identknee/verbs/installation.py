@@ -83,6 +83,12 @@ class Installation:
         return "\n".join([*lines, *(["All checks passed."] if self.is_sound else [])])
 
 
+def _check(
+    group: str, name: str, found: str, remedy: str = "", *, is_sound: bool = True
+) -> InstallationCheck:
+    return InstallationCheck(group=group, name=name, is_sound=is_sound, found=found, remedy=remedy)
+
+
 def doctor() -> Installation:
     """Versions, cores, cache and extras of this installation, and a short self-test.
 
@@ -98,19 +104,17 @@ def versions() -> Iterator[InstallationCheck]:
     its = _distribution()
     if its is None:
         found, remedy = "not installed, only found on the path", "Install it: pip install ."
-        yield InstallationCheck(
-            group="versions", name="identknee", is_sound=False, found=found, remedy=remedy
-        )
+        yield _check("versions", "identknee", found, remedy, is_sound=False)
         return
-    yield InstallationCheck(group="versions", name="identknee", is_sound=True, found=its.version)
+    yield _check("versions", "identknee", its.version)
     python, wanted = platform.python_version(), its.metadata["Requires-Python"]
     fits = SpecifierSet(wanted).contains(python, prereleases=True)
-    yield InstallationCheck(
-        group="versions",
-        name="Python",
+    yield _check(
+        "versions",
+        "Python",
+        f"{python} ({sys.executable})",
+        "" if fits else f"Make an environment with Python {wanted} and install there.",
         is_sound=fits,
-        found=f"{python} ({sys.executable})",
-        remedy="" if fits else f"Make an environment with Python {wanted} and install there.",
     )
     for text in its.requires or ():
         requirement = Requirement(text)
@@ -123,11 +127,9 @@ def machine() -> Iterator[InstallationCheck]:
     total = os.cpu_count() or 1
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
     found = f"{usable} of {total} can be used; more than one work with --workers"
-    yield InstallationCheck(group="machine", name="cores", is_sound=True, found=found)
+    yield _check("machine", "cores", found)
     threads = ", ".join(f"{x}={os.environ.get(x, 'unset')}" for x in LIBRARY_THREADS)
-    yield InstallationCheck(
-        group="machine", name="threads of linear algebra", is_sound=True, found=threads
-    )
+    yield _check("machine", "threads of linear algebra", threads)
 
 
 def cache() -> Iterator[InstallationCheck]:
@@ -136,21 +138,25 @@ def cache() -> Iterator[InstallationCheck]:
     try:
         prepare_folder(folder)
     except InputError as error:
-        yield InstallationCheck(
-            group="cache",
-            name="folder",
-            is_sound=False,
-            found=f"{folder}: {error.why}",
-            remedy="Name a folder that can be written to in the environment variable "
+        yield _check(
+            "cache",
+            "folder",
+            f"{folder}: {error.why}",
+            "Name a folder that can be written to in the environment variable "
             "IDENTKNEE_CACHE; without one every process compiles again.",
+            is_sound=False,
         )
         return
     size = sum(x.stat().st_size for x in folder.rglob("*") if x.is_file())
     found = f"{folder}, can be written to, {size / BYTES_PER_MB:.0f} MB"
-    yield InstallationCheck(group="cache", name="folder", is_sound=True, found=found)
-    n = _n_compiled()
+    yield _check("cache", "folder", found)
+    # The compiler takes half a second to load.
+    from identknee.runs.compiling import compiled_folder
+
+    mechanics = Path(__file__).parents[1] / "mechanics"
+    n = len(list(compiled_folder(mechanics).rglob("*.nbc")))
     found = f"{n} compiled functions are there" if n else "none yet; the first command compiles"
-    yield InstallationCheck(group="cache", name="compiled code", is_sound=True, found=found)
+    yield _check("cache", "compiled code", found)
 
 
 def extras() -> Iterator[InstallationCheck]:
@@ -168,12 +174,11 @@ def extras() -> Iterator[InstallationCheck]:
             and not x.marker.evaluate({"extra": ""})
         ]
         missing = [x.name for x in its_own if not x.is_sound]
-        yield InstallationCheck(
-            group="extras",
-            name=extra,
-            is_sound=True,
-            found=f"not there: {', '.join(missing)}" if missing else "there",
-            remedy=f"To add it: pip install 'identknee[{extra}]'" if missing else "",
+        yield _check(
+            "extras",
+            extra,
+            f"not there: {', '.join(missing)}" if missing else "there",
+            f"To add it: pip install 'identknee[{extra}]'" if missing else "",
         )
 
 
@@ -181,21 +186,17 @@ def self_test() -> Iterator[InstallationCheck]:
     """Trials of the reference knee against stored ones, derivatives against differences, a fit."""
     try:
         for name, is_sound, found in self_tests():
-            yield InstallationCheck(
-                group="self-test",
-                name=name,
+            yield _check(
+                "self-test",
+                name,
+                found,
+                "" if is_sound else f"Do not use results of this installation. {INSTALL_AGAIN}",
                 is_sound=is_sound,
-                found=found,
-                remedy=""
-                if is_sound
-                else f"Do not use results of this installation. {INSTALL_AGAIN}",
             )
     # A broken installation may raise anything, and what it is is the answer.
     except Exception as error:  # noqa: BLE001
         found = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".")
-        yield InstallationCheck(
-            group="self-test", name="run", is_sound=False, found=found, remedy=INSTALL_AGAIN
-        )
+        yield _check("self-test", "run", found, INSTALL_AGAIN, is_sound=False)
 
 
 def _distribution() -> Distribution | None:
@@ -214,22 +215,13 @@ def _version_of(requirement: Requirement) -> InstallationCheck:
     else:
         fits = requirement.specifier.contains(found, prereleases=True)
         found = found if fits else f"{found}, but {wanted} is needed"
-    return InstallationCheck(
-        group="versions",
-        name=requirement.name,
+    return _check(
+        "versions",
+        requirement.name,
+        found,
+        "" if fits else f"Install it: pip install '{requirement.name}{wanted}'",
         is_sound=fits,
-        found=found,
-        remedy="" if fits else f"Install it: pip install '{requirement.name}{wanted}'",
     )
-
-
-def _n_compiled() -> int:
-    """How many functions are kept compiled for this version of the sources."""
-    # The compiler takes half a second to load.
-    from identknee.runs.compiling import compiled_folder
-
-    mechanics = Path(__file__).parents[1] / "mechanics"
-    return len(list(compiled_folder(mechanics).rglob("*.nbc")))
 
 
 # Numbers of the same program on another machine: rounding may differ, nothing else.

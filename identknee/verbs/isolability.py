@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Unpack, overload
 
-from identknee.diagnosis.advice import ROOT, GroupAdvice, protocol_isolability
+from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
 from identknee.laxity.table import TrialsLike, read_trials
@@ -13,28 +13,10 @@ from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
 from identknee.subject.knee import UncertainLike
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnose import diagnose_data
-from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.options import (
-    Candidates,
-    ExtraStart,
-    GivenData,
-    GivenSubject,
-    KneeOptions,
-    LaxityLike,
-    Noise,
-    Out,
-    ProtocolName,
-    Seed,
-    Subject,
-    SubjectLike,
-    Uncertain,
-    Workers,
-    documented,
-    option,
-    trials_option,
-)
+from identknee.verbs.diagnosis import Diagnosis, diagnose_data
+from identknee.verbs.options import documented, option, trials_option
 from identknee.verbs.values import AdvisedTrial, NoiseLike, advised, noise_of
 from identknee.verbs.verb import Run, verb, warm_up
 
@@ -80,8 +62,8 @@ class Isolability(Answer):
 @verb
 def isolability(
     run: Run,
-    subject: Subject,
-    protocol: ProtocolName,
+    subject: options.Subject,
+    protocol: options.ProtocolName,
     noise: Annotated[
         str | tuple[float, float],
         option(
@@ -90,8 +72,8 @@ def isolability(
         ),
     ],
     *,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Isolability:
     """Detectable and isolable causes under a protocol on a subject.
 
@@ -122,7 +104,15 @@ def isolability(
         assumptions=(said,) if lost else (),
         protocol=found.protocol.name,
         n_trials=found.protocol.n,
-        groups=tuple(_confusable_causes(x) for x in found.advice),
+        groups=tuple(
+            ConfusableCauses(
+                effects=x.names,
+                distance=x.before,
+                distance_with_advised_trials=x.after,
+                advised_trials=advised(x.trials),
+            )
+            for x in found.advice
+        ),
         look_alikes=found.look_alikes,
         effects={x.name: x for x in found.visibility},
         rivals=found.distances.effects,
@@ -132,19 +122,10 @@ def isolability(
     )
 
 
-def _confusable_causes(advice: GroupAdvice) -> ConfusableCauses:
-    return ConfusableCauses(
-        effects=advice.names,
-        distance=advice.before,
-        distance_with_advised_trials=advice.after,
-        advised_trials=advised(advice.trials),
-    )
-
-
 @overload
 def diagnose(
-    subject: SubjectLike,
-    data: LaxityLike,
+    subject: options.SubjectLike,
+    data: options.LaxityLike,
     *,
     protocol: None = None,
     noise: NoiseLike = None,
@@ -153,11 +134,11 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: Workers = 1,
+    workers: options.Workers = 1,
 ) -> Diagnosis: ...
 @overload
 def diagnose(
-    subject: SubjectLike,
+    subject: options.SubjectLike,
     data: None = None,
     *,
     protocol: TrialsLike,
@@ -165,12 +146,12 @@ def diagnose(
     uncertain: UncertainLike = None,
     out: PathLike | None = None,
     seed: int = 0,
-    workers: Workers = 1,
+    workers: options.Workers = 1,
 ) -> Isolability: ...
 @documented
 def diagnose(
-    subject: GivenSubject,
-    data: GivenData = None,
+    subject: options.GivenSubject,
+    data: options.GivenData = None,
     *,
     protocol: Annotated[
         TrialsLike | None,
@@ -179,13 +160,13 @@ def diagnose(
             "trials: {}."
         ),
     ] = None,
-    noise: Noise = None,
-    uncertain: Uncertain = None,
-    start: ExtraStart = "subject",
-    effects: Candidates = None,
-    out: Out = None,
-    seed: Seed = 0,
-    workers: Workers = 1,
+    noise: options.Noise = None,
+    uncertain: options.Uncertain = None,
+    start: options.ExtraStart = "subject",
+    effects: options.Candidates = None,
+    out: options.Out = None,
+    seed: options.Seed = 0,
+    workers: options.Workers = 1,
 ) -> Diagnosis | Isolability:
     """What the model of a subject gets wrong in the data, and which physical cause it has.
 

@@ -8,13 +8,13 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
 from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs import executors as workers
+from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.subject.knee import Knee, UncertainLike
 from identknee.verbs.values import BoundsLike, NoiseLike
@@ -30,44 +30,24 @@ WIDTH = 92
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@declared
 class Option:
-    """What is said of a parameter of a verb.
+    """What is said of a parameter of a verb."""
 
-    Attributes
-    ----------
-    text
-        What it does, as the help of the command says it.
-    in_python
-        What only callers of the library need to know beside that.
-    flag
-        Its name on the command line, if that is not the one of the parameter.
-    metavar
-        What stands for its value in the help.
-    least
-        Smallest value.
-    typed
-        Type on the command line, if a function takes more.
-    given
-        What callers may give, if the verb gets what was read from it.
-    is_argument
-        Whether the command line takes it by its place.
-    is_typed
-        Whether the command line has it.
-    default
-        Its default, if it is declared by a `TypedDict`.
-    """
-
-    text: str
-    in_python: str = ""
-    flag: str = ""
-    metavar: str | None = None
-    least: float | None = None
-    typed: Any = None
-    given: Any = None
-    is_argument: bool = False
-    is_typed: bool = True
-    default: Any = None
+    text: str = entry("What it does, as the help of the command says it")
+    in_python: str = entry("What only callers of the library need to know beside that", default="")
+    flag: str = entry(
+        "Its name on the command line, if that is not the one of the parameter", default=""
+    )
+    metavar: str | None = entry("What stands for its value in the help", default=None)
+    least: float | None = entry("Smallest value", default=None)
+    typed: Any = entry("Type on the command line, if a function takes more", default=None)
+    given: Any = entry(
+        "What callers may give, if the verb gets what was read from it", default=None
+    )
+    is_argument: bool = entry("Whether the command line takes it by its place", default=False)
+    is_typed: bool = entry("Whether the command line has it", default=True)
+    default: Any = entry("Its default, if it is declared by a `TypedDict`", default=None)
 
 
 def option(text: str, flag: str = "", **more: Any) -> Option:
@@ -98,8 +78,7 @@ Subject = Annotated[
     ),
 ]
 Data = Annotated[
-    Laxity,
-    argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike),
+    Laxity, argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike)
 ]
 MaybeData = Annotated[
     Laxity | None,
@@ -232,11 +211,7 @@ class KneeOptions(RunOptions, total=False):
 def trials_option(text: str, flag: str = "") -> Option:
     """An option that names trials; the text ends where their kinds are listed."""
     return option(
-        text.format(PROTOCOLS),
-        flag,
-        in_python=_A_PROTOCOL,
-        metavar="PROTOCOL",
-        typed=str | None,
+        text.format(PROTOCOLS), flag, in_python=_A_PROTOCOL, metavar="PROTOCOL", typed=str | None
     )
 
 

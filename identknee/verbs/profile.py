@@ -22,21 +22,10 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Level,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]
@@ -94,8 +83,8 @@ class Profiles(Answer):
 @verb
 def profile(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     parameters: Annotated[
         Sequence[str] | None,
@@ -138,7 +127,7 @@ def profile(
             typed=list[str] | None,
         ),
     ] = None,
-    level: Level = 0.95,
+    level: options.Level = 0.95,
     budget: Annotated[
         int,
         option("Largest number of simulations per profile. Most profiles need 25 to 100.", least=1),
@@ -152,12 +141,12 @@ def profile(
             least=0,
         ),
     ] = 0,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Profiles:
     """Which values of each parameter, or of any prediction, the data allow.
 
@@ -207,7 +196,18 @@ def profile(
     return Profiles(
         parameters={x.name: x for x in profiles if x.name in names},
         quantities={x.name: x for x in profiles if x.name not in names},
-        pairs=_joint_sets(run, setup, best.optimum, couples, level),
+        pairs=tuple(
+            profile_pair(
+                setup.problem,
+                best.optimum,
+                couple,
+                level=level,
+                threshold=_threshold(setup, level, 2),
+                executor=run.executor,
+                store=run.store,
+            )
+            for couple in couples
+        ),
         parameter_names=names,
         optimum=best.optimum,
         deviance=best.deviance,
@@ -252,23 +252,6 @@ def _pair_of_parameters(setup: Identification, pair: Pair) -> tuple[str, str]:
     if first == second:
         raise ValueError(f"--pair {text}: a pair needs two different parameters")
     return first, second
-
-
-def _joint_sets(
-    run: Run, setup: Identification, theta: Array, couples: Sequence[tuple[str, str]], level: float
-) -> tuple[PairProfile, ...]:
-    return tuple(
-        profile_pair(
-            setup.problem,
-            theta,
-            couple,
-            level=level,
-            threshold=_threshold(setup, level, 2),
-            executor=run.executor,
-            store=run.store,
-        )
-        for couple in couples
-    )
 
 
 def _threshold(setup: Identification, level: float, n: int = 1) -> float:

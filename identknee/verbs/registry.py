@@ -18,9 +18,9 @@ class Verb:
     name
         Name in records and on the command line, there with its group: ``"subject check"``.
     module
-        Where the function stands.
+        Where the function stands, if not in the module of the verb's name.
     function
-        Name of the function there.
+        Name of the function there, if not that of the verb.
     answer
         Name of the class of its answer, in `answer_module`, or in `module` if that is empty.
     summary
@@ -28,7 +28,8 @@ class Verb:
     example
         What follows the name in the example of its help.
     folder
-        Folder of the results on the command line if ``--out`` is not given.
+        Folder of the results on the command line if ``--out`` is not given and it is not named
+        after the verb.
     resumes
         Whether a run that was stopped goes on where it was.
     is_reported
@@ -48,9 +49,9 @@ class Verb:
     """
 
     name: str
-    module: str
-    function: str
     answer: str
+    module: str = ""
+    function: str = ""
     answer_module: str = ""
     summary: str = ""
     example: str = ""
@@ -63,6 +64,15 @@ class Verb:
     then: str = ""
     beginning: str = ""
     has_page: bool = False
+
+    def __post_init__(self) -> None:
+        usual = {
+            "module": f"identknee.verbs.{self.name}",
+            "function": self.name,
+            "folder": f"identknee-{self.name}",
+        }
+        for key, value in usual.items():
+            object.__setattr__(self, key, getattr(self, key) or value)
 
     @property
     def call(self) -> Callable[..., Any]:
@@ -80,12 +90,9 @@ class Verb:
 _VERBS = [
     Verb(
         name="demo",
-        module="identknee.verbs.demo",
-        function="demo",
         answer="Demonstration",
         summary="Ask the paper's question, and answer it in about a minute.",
         example="--out story",
-        folder="identknee-demo",
         beginning="Reference knee, 63 trials, noise-free. Short settings.\n"
         "Fitting from the paper's four starts: Complex ({runs} runs each), least squares. Then "
         "profiles from noisy data.",
@@ -95,47 +102,35 @@ _VERBS = [
     ),
     Verb(
         name="simulate",
-        module="identknee.verbs.simulate",
-        function="simulate",
         answer="Simulation",
         summary="Simulate laxity tests of SUBJECT.",
         example="reference --noise 0.5mm,0.5deg --out knee",
-        folder="identknee-simulate",
         is_reported=True,
         parameter_rank=1,
     ),
     Verb(
         name="fit",
-        module="identknee.verbs.fit",
-        function="fit",
         answer="Calibration",
         summary="Fit the parameters of SUBJECT to DATA.csv.",
         example="reference data.csv --start IG4",
-        folder="identknee-fit",
         is_reported=True,
         suggestion="Which parameters reproduce this laxity?",
         parameter_rank=3,
     ),
     Verb(
         name="sweep",
-        module="identknee.verbs.sweep",
-        function="sweep",
         answer="Sweep",
         summary="Fit from many starts, and see what stopped each search.",
         example="reference data.csv --n-starts 200 --workers 2",
-        folder="identknee-sweep",
         resumes=True,
         is_reported=True,
         suggestion="Do other starts end elsewhere?",
     ),
     Verb(
         name="profile",
-        module="identknee.verbs.profile",
-        function="profile",
         answer="Profiles",
         summary="Find which values of each parameter the data allow.",
         example="reference data.csv --parameter ACL.stiffness_kN",
-        folder="identknee-profile",
         resumes=True,
         is_reported=True,
         suggestion="Which parameters are bounded, and within what limits?",
@@ -143,47 +138,35 @@ _VERBS = [
     ),
     Verb(
         name="sample",
-        module="identknee.verbs.sample",
-        function="sample",
         answer="Sample",
         summary="Sample the posterior of the parameters given the data.",
         example="reference data.csv --workers 2",
-        folder="identknee-sample",
         resumes=True,
         is_reported=True,
         suggestion="How probable is each value, and each ligament force?",
     ),
     Verb(
         name="information",
-        module="identknee.verbs.information",
-        function="information",
         answer="LocalIdentifiability",
         summary="Find which parameter combinations the data determine.",
         example="reference data.csv --noise 0.5mm,0.5deg",
-        folder="identknee-information",
         is_reported=True,
         suggestion="Which combinations of parameters do the data determine?",
     ),
     Verb(
         name="equivalents",
-        module="identknee.verbs.equivalents",
-        function="equivalents",
         answer="Equivalents",
         summary="Find other parameter sets that the data cannot distinguish.",
         example="reference data.csv --criterion paper",
-        folder="identknee-equivalents",
         resumes=True,
         is_reported=True,
         suggestion="How different are knees that this measurement cannot distinguish?",
     ),
     Verb(
         name="sensitivity",
-        module="identknee.verbs.sensitivity",
-        function="sensitivity",
         answer="GlobalSensitivity",
         summary="Find which parameters the laxity of a knee depends on.",
         example="reference --method morris --workers 2",
-        folder="identknee-sensitivity",
         resumes=True,
         is_reported=True,
         suggestion="Which parameter moves which laxity?",
@@ -196,27 +179,17 @@ _VERBS = [
         answer_module="identknee.verbs.diagnosis",
         summary="Find what the model of SUBJECT gets wrong, and why.",
         example="reference data.csv --noise 0.3mm,0.3deg",
-        folder="identknee-diagnose",
         is_reported=True,
         suggestion="What does the model get wrong, and why?",
         has_pictures=True,
     ),
     # Of a protocol instead of data, on the command line by `diagnose` too.
-    Verb(
-        name="isolability",
-        module="identknee.verbs.isolability",
-        function="isolability",
-        answer="Isolability",
-        is_reported=True,
-    ),
+    Verb(name="isolability", answer="Isolability", is_reported=True),
     Verb(
         name="design",
-        module="identknee.verbs.design",
-        function="design",
         answer="Design",
         summary="Choose the trials that would best close what is still open.",
         example="reference data.csv --target ACL.stiffness_kN",
-        folder="identknee-design",
         is_reported=True,
         suggestion="Which trials would close the gap?",
     ),

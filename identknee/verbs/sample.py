@@ -28,19 +28,10 @@ from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared,
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 N_PREDICTIONS = 400
@@ -435,8 +426,8 @@ class Sample(Answer):
 @not_resume_relevant("budget", "nested")
 def sample(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     basins: Annotated[
         PathLike | None,
@@ -469,12 +460,12 @@ def sample(
         bool,
         option("Also run nested sampling (dynesty), as a second opinion and for the evidence."),
     ] = False,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 

@@ -1,7 +1,6 @@
 """Which parameters the laxity of a knee depends on."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Unpack
 
@@ -12,7 +11,6 @@ from identknee.calibrate.fit import load_start
 from identknee.identify.sensitivity import DEFAULT_DRAWS, Box, Sensitivity, box_around
 from identknee.identify.sensitivity import Method as Kind
 from identknee.identify.sensitivity import sensitivity as analysed
-from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, TrialsLike, read_tests
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
 from identknee.model.laxity_model import model_for_tests
@@ -22,18 +20,9 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
-from identknee.subject.knee import Knee
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import (
-    Fixed,
-    MaybeData,
-    RunOptions,
-    Seed,
-    Start,
-    Subject,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import option, trials_option
 from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
 
 
@@ -55,8 +44,8 @@ class GlobalSensitivity(Answer):
 @not_resume_relevant("method", "samples")
 def sensitivity(
     run: Run,
-    subject: Subject,
-    data: MaybeData = None,
+    subject: options.Subject,
+    data: options.MaybeData = None,
     *,
     protocol: Annotated[
         TrialsLike | None,
@@ -79,16 +68,12 @@ def sensitivity(
     ] = None,
     posterior: Annotated[
         PathLike | None,
-        option(
-            "Results folder of: identknee sample.",
-            metavar="DIR",
-            typed=Path | None,
-        ),
+        option("Results folder of: identknee sample.", metavar="DIR", typed=Path | None),
     ] = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    seed: Seed = 0,
-    **_: Unpack[RunOptions],
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.RunOptions],
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 
@@ -108,7 +93,19 @@ def sensitivity(
         )
     planned = "seed63" if protocol is None else protocol
     tests = read_tests(planned) if data is None else data
-    outputs = _outputs(subject, tests, start, fixed)
+    model = model_for_tests(subject, tests)
+    held = {*(fixed or ()), *model.parameters.nuisance_names}
+    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
+    if free.parameters.n < 2:
+        raise ValueError(
+            "a sensitivity analysis needs at least two parameters that vary; fix fewer"
+        )
+    outputs = LaxityOutputs(
+        model=model,
+        groups=tuple(x.name for x in laxity_groups(model.protocol)),
+        free=free,
+        zero=tests.zero if isinstance(tests, Laxity) else "absolute",
+    )
     over = _where(run, outputs, posterior, samples)
     warm_up(subject, outputs.model.protocol)
     run.start_clock()
@@ -124,24 +121,6 @@ def sensitivity(
     groups = {x.name: x for x in laxity_groups(outputs.model.protocol)}
     nothing = (finding("no-set-converges", "trials"),) if found.share_failed == 1.0 else ()
     return GlobalSensitivity(analysis=found, laxity_groups=tuple(groups.values()), findings=nothing)
-
-
-def _outputs(
-    knee: Knee, tests: Protocol | Laxity, start: str, fixed: Sequence[str] | None
-) -> LaxityOutputs:
-    model = model_for_tests(knee, tests)
-    held = {*(fixed or ()), *model.parameters.nuisance_names}
-    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
-    if free.parameters.n < 2:
-        raise ValueError(
-            "a sensitivity analysis needs at least two parameters that vary; fix fewer"
-        )
-    return LaxityOutputs(
-        model=model,
-        groups=tuple(x.name for x in laxity_groups(model.protocol)),
-        free=free,
-        zero=tests.zero if isinstance(tests, Laxity) else "absolute",
-    )
 
 
 def _where(

@@ -25,15 +25,9 @@ from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.record import Outcome
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import (
-    LOAD_STEPS,
-    PROTOCOLS,
-    RunOptions,
-    Seed,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,
@@ -149,11 +143,11 @@ class Simulation(SimulatedLaxity):
 @verb
 def simulate(
     run: Run,
-    subject: Subject,
+    subject: options.Subject,
     protocol: Annotated[
         TrialsLike,
         option(
-            f"The trials: {PROTOCOLS}. Measured trials are run as `fit` would run them.",
+            f"The trials: {options.PROTOCOLS}. Measured trials are run as `fit` would run them.",
             in_python="Or a `Protocol`. A subject that was fitted begins at the poses of its fit.",
             metavar="PROTOCOL",
             typed=str,
@@ -190,10 +184,9 @@ def simulate(
         float, option("Correlation between the five errors of a trial.")
     ] = 0.0,
     noise_student: Annotated[
-        float | None,
-        option("Degrees of freedom of Student's t noise; normal noise if not given."),
+        float | None, option("Degrees of freedom of Student's t noise; normal noise if not given.")
     ] = None,
-    continuation: Annotated[Continuation, LOAD_STEPS] = "continuation",
+    continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     contact: Annotated[
         Contact,
         option(
@@ -201,8 +194,8 @@ def simulate(
             "is slow."
         ),
     ] = "field",
-    seed: Seed = 0,
-    **_: Unpack[RunOptions],
+    seed: options.Seed = 0,
+    **_: Unpack[options.RunOptions],
 ) -> Simulation:
     """The simulated laxity of a knee; a trial without equilibrium is no error but has an outcome.
 

@@ -22,20 +22,9 @@ from identknee.subject.examples import NAMED_SUBJECTS, opensim_file
 from identknee.subject.folder import example, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim import import_opensim
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import (
-    Out,
-    OutOption,
-    ProtocolName,
-    Seed,
-    Subject,
-    Within,
-    Workers,
-    argument,
-    documented,
-    option,
-    trials_option,
-)
+from identknee.verbs.options import argument, documented, option, trials_option
 from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
 Bundles = Literal["separate", "merged"]
@@ -66,7 +55,7 @@ ExportTrials = Annotated[
 ]
 
 
-class ExportOptions(OutOption, total=False):
+class ExportOptions(options.OutOption, total=False):
     """What an export was asked for, which the record of the call keeps."""
 
     fitted: ExportFitted
@@ -76,7 +65,7 @@ class ExportOptions(OutOption, total=False):
     protocol: ExportTrials
 
 
-class ImportOptions(OutOption, total=False):
+class ImportOptions(options.OutOption, total=False):
     """What an import was asked for, which the record of the call keeps."""
 
     osim: Annotated[Path, option("The model.")]
@@ -139,7 +128,9 @@ def subject_facts_of(knee: Knee) -> dict[str, Any]:
 
 @verb
 @recorded_as("subject show")
-def describe_subject(_run: Run, subject: Subject, **_: Unpack[OutOption]) -> SubjectFacts:
+def describe_subject(
+    _run: Run, subject: options.Subject, **_: Unpack[options.OutOption]
+) -> SubjectFacts:
     """What a subject is made of."""
     return SubjectFacts(**subject_facts_of(subject))
 
@@ -148,7 +139,7 @@ def describe_subject(_run: Run, subject: Subject, **_: Unpack[OutOption]) -> Sub
 @recorded_as("subject export", secret=("written",))
 def exported_subject(
     _run: Run,
-    subject: Subject,
+    subject: options.Subject,
     *,
     written: Annotated[Sequence[PathLike], option("Files for other tools.", is_typed=False)] = (),
     **_: Unpack[ExportOptions],
@@ -171,7 +162,7 @@ def import_subject(
     bundles: Annotated[
         Bundles, option("Keep the bundles separate, or merge them to four single lines.")
     ] = "separate",
-    out: Out = None,
+    out: options.Out = None,
 ) -> SubjectFacts:
     """The knee of an OpenSim model, written as a subject folder."""
     knee = import_opensim(file, bundles=bundles)
@@ -180,7 +171,7 @@ def import_subject(
 
 @verb
 @recorded_as("subject import-osim")
-def _import(run: Run, subject: Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
+def _import(run: Run, subject: options.Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
     if run.out is not None:
         write_subject(subject, run.out)
     return SubjectFacts(**subject_facts_of(subject))
@@ -232,16 +223,16 @@ class SubjectCheck(SubjectFacts):
 @recorded_as("subject check")
 def check_subject(
     run: Run,
-    subject: Subject,
+    subject: options.Subject,
     *,
-    protocol: ProtocolName = "seed63",
+    protocol: options.ProtocolName = "seed63",
     samples: Annotated[
         int, option("Number of parameter sets to draw from the ranges; 0 for none.", least=0)
     ] = 200,
-    within: Within = WITHIN,
-    seed: Seed = 0,
-    workers: Workers = 1,
-    **_: Unpack[OutOption],
+    within: options.Within = WITHIN,
+    seed: options.Seed = 0,
+    workers: options.Workers = 1,
+    **_: Unpack[options.OutOption],
 ) -> SubjectCheck:
     """What is wrong with a subject, and how stable its trials are.
 
@@ -315,12 +306,12 @@ class SettledSubject(Answer):
 @recorded_as("subject settle")
 def settle_subject(
     run: Run,
-    subject: Subject,
+    subject: options.Subject,
     *,
-    protocol: ProtocolName = "seed63",
-    within: Within = WITHIN,
-    workers: Workers = 1,
-    **_: Unpack[OutOption],
+    protocol: options.ProtocolName = "seed63",
+    within: options.Within = WITHIN,
+    workers: options.Workers = 1,
+    **_: Unpack[options.OutOption],
 ) -> SettledSubject:
     """The subject with its insertions moved, within their uncertainty, until all trials converge.
 

@@ -23,20 +23,10 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, identification, no_prediction_finding
-from identknee.verbs.options import (
-    Bounds,
-    Data,
-    Fixed,
-    KneeOptions,
-    Method,
-    Noise,
-    Seed,
-    Start,
-    Subject,
-    option,
-)
+from identknee.verbs.options import option
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]
@@ -69,11 +59,11 @@ class Sweep(Answer):
 @not_resume_relevant("within", "paths")
 def sweep(
     run: Run,
-    subject: Subject,
-    data: Data,
+    subject: options.Subject,
+    data: options.Data,
     *,
     n_starts: Annotated[int, option("Number of starts.", least=1)] = 1000,
-    method: Method = "least-squares",
+    method: options.Method = "least-squares",
     design: Annotated[
         Design,
         option(
@@ -91,8 +81,7 @@ def sweep(
         ),
     ] = DISTANCES,
     budget: Annotated[
-        int | None,
-        option("Largest number of simulations per search; 2,500 if not given."),
+        int | None, option("Largest number of simulations per search; 2,500 if not given.")
     ] = None,
     within: Annotated[
         float,
@@ -108,12 +97,12 @@ def sweep(
             "For how many starts to search the straight path to the best fit for cliffs.", least=0
         ),
     ] = 100,
-    noise: Noise = None,
-    start: Start = "subject",
-    fixed: Fixed = None,
-    bounds: Bounds = None,
-    seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    noise: options.Noise = None,
+    start: options.Start = "subject",
+    fixed: options.Fixed = None,
+    bounds: options.Bounds = None,
+    seed: options.Seed = 0,
+    **_: Unpack[options.KneeOptions],
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 
@@ -139,7 +128,15 @@ def sweep(
     nuisances = ~parameters.is_of_interest
     starts[:, nuisances] = setup.start[nuisances]
     run.start_clock()
-    with planned("sweeping", _work(method, n_starts, paths)):
+    chunk = STARTS_A_TASK.get(method, 1)
+    cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
+    with planned(
+        "sweeping",
+        {
+            f"sweeping by {method}": [cost] * -(-n_starts // chunk),
+            "cliffs": [PATH_COST] * min(paths, n_starts),
+        },
+    ):
         searches = searched(
             setup.problem,
             starts,
@@ -181,16 +178,6 @@ def _numbers(distances: str | Sequence[float]) -> list[float]:
         raise ValueError(
             f"--distances {distances}: these are not numbers. Write for example 0.5,1,2"
         ) from None
-
-
-def _work(method: str, n_starts: int, paths: int) -> dict[str, list[float]]:
-    """What each task of searches and each path costs, in searches by least squares."""
-    chunk = STARTS_A_TASK.get(method, 1)
-    cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
-    return {
-        f"sweeping by {method}": [cost] * -(-n_starts // chunk),
-        "cliffs": [PATH_COST] * min(paths, n_starts),
-    }
 
 
 def _cliffs(run: Run, setup: Identification, survey: Survey, paths: int) -> CliffMap | None:

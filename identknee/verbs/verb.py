@@ -22,14 +22,9 @@ from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
+from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import (
-    REFERENCE,
-    LaxityLike,
-    SubjectLike,
-    explained,
-    parameters_in_full,
-)
+from identknee.verbs.options import explained, parameters_in_full
 
 
 def knee_digest(knee: Knee) -> str:
@@ -134,8 +129,8 @@ class OfData(TypedProtocol[Arguments, Given]):
 
     def __call__(
         self,
-        subject: SubjectLike,
-        data: LaxityLike,
+        subject: options.SubjectLike,
+        data: options.LaxityLike,
         *args: Arguments.args,
         **kwargs: Arguments.kwargs,
     ) -> Given:
@@ -147,8 +142,8 @@ class OfMaybeData(TypedProtocol[Arguments, Given]):
 
     def __call__(
         self,
-        subject: SubjectLike,
-        data: LaxityLike | None = None,
+        subject: options.SubjectLike,
+        data: options.LaxityLike | None = None,
         *args: Arguments.args,
         **kwargs: Arguments.kwargs,
     ) -> Given:
@@ -159,7 +154,7 @@ class OfSubject(TypedProtocol[Arguments, Given]):
     """The same of a verb without data."""
 
     def __call__(
-        self, subject: SubjectLike, *args: Arguments.args, **kwargs: Arguments.kwargs
+        self, subject: options.SubjectLike, *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Given:
         """The answer."""
 
@@ -249,7 +244,7 @@ def _run(
     laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
     if laxity is None and _needs_data(function):
         raise ValueError("there are no data; give a laxity table")
-    subject = arguments.get("subject", REFERENCE)
+    subject = arguments.get("subject", options.REFERENCE)
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))

@@ -17,7 +17,7 @@ from common.records import Row, rounded, study_knee, write_record
 
 import identknee as ik
 from identknee.identify.profile.profile import profile, profile_parameters
-from identknee.report.profile_figures import nested
+from identknee.report.parameter_figures import nested
 from identknee.runs.schema import to_plain
 
 KNEES = ("reference", "lenhart2015_stable")

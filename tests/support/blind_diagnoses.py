@@ -18,7 +18,7 @@ from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,8 +11,7 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnose import diagnosis_of
-from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.diagnosis import Diagnosis, diagnosis_of
 
 FRAME = "femur_frame"
 FRAME_DEG = 3.0

@@ -9,11 +9,8 @@ from typing_extensions import override
 from identknee.laxity.protocol import Protocol
 from identknee.report.answers.profile import parameter_statements, profile_drawings, profile_range
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import Drawing, Presenter, Question, Range, Statement
+from identknee.report.tables import table
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -34,22 +31,6 @@ ENDS = {
 }
 # Below this a parameter error is rounding [kN].
 EXACT_KN = 1e-6
-
-
-def demo_statements(answer: Demonstration) -> Iterator[Statement]:
-    """What the paper's question comes to: a good fit, wrong parameters, and why."""
-    searches = [x for x in answer.starts if x.method == "complex"]
-    descents = [x for x in answer.starts if x.method == "least-squares"]
-    worst = max(searches, key=lambda x: x.error["kN"])
-    yield Statement(
-        question=Question.SEARCH,
-        sentence=f"{misleading_fit_sentence(worst)} {least_squares_sentence(descents)}",
-        tables=(_table(answer.starts),),
-        is_answer=True,
-    )
-    mm, deg = answer.noise["mm"], answer.noise["deg"]
-    given = f"With noise of {mm:g} mm and {deg:g} deg, "
-    yield from parameter_statements(tuple(answer.profiles.values()), given)
 
 
 def misleading_fit_sentence(fits: StartFits) -> str:
@@ -74,34 +55,6 @@ def least_squares_sentence(fits: Sequence[StartFits]) -> str:
     )
 
 
-def _table(starts: Sequence[StartFits]) -> Table:
-    rows = tuple(
-        (
-            f"{x.method.capitalize()} from {x.start}",
-            x.error["kN"],
-            x.error["pct"],
-            x.rmse["mm"],
-            x.rmse["deg"],
-            int(x.n_simulations),
-            ", ".join(f"{n} {ENDS[end]}" for end, n in x.outcomes.items()),
-        )
-        for x in starts
-    )
-    return Table(
-        title="Fits of noise-free laxity, medians over the runs",
-        columns=(
-            Column(name="method and start"),
-            Column(name="mean error of stiffness", unit="kN"),
-            Column(name="mean error of reference strain", unit="%"),
-            Column(name="laxity RMSE", unit="mm"),
-            Column(name="laxity RMSE", unit="deg"),
-            Column(name="simulations"),
-            Column(name="runs ended"),
-        ),
-        rows=rows,
-    )
-
-
 class DemonstrationPresenter(Presenter[Demonstration]):
     """How the demo is shown."""
 
@@ -109,12 +62,48 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def statements(self, answer: Demonstration) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from demo_statements(answer)
+        """What the paper's question comes to: a good fit, wrong parameters, and why."""
+        searches = [x for x in answer.starts if x.method == "complex"]
+        descents = [x for x in answer.starts if x.method == "least-squares"]
+        worst = max(searches, key=lambda x: x.error["kN"])
+        rows = tuple(
+            (
+                f"{x.method.capitalize()} from {x.start}",
+                x.error["kN"],
+                x.error["pct"],
+                x.rmse["mm"],
+                x.rmse["deg"],
+                int(x.n_simulations),
+                ", ".join(f"{n} {ENDS[end]}" for end, n in x.outcomes.items()),
+            )
+            for x in answer.starts
+        )
+        yield Statement(
+            question=Question.SEARCH,
+            sentence=f"{misleading_fit_sentence(worst)} {least_squares_sentence(descents)}",
+            tables=(
+                table(
+                    "Fits of noise-free laxity, medians over the runs",
+                    (
+                        "method and start",
+                        ("mean error of stiffness", 2, "kN"),
+                        ("mean error of reference strain", 2, "%"),
+                        ("laxity RMSE", 2, "mm"),
+                        ("laxity RMSE", 2, "deg"),
+                        "simulations",
+                        "runs ended",
+                    ),
+                    rows,
+                ),
+            ),
+            is_answer=True,
+        )
+        mm, deg = answer.noise["mm"], answer.noise["deg"]
+        given = f"With noise of {mm:g} mm and {deg:g} deg, "
+        yield from parameter_statements(tuple(answer.profiles.values()), given)
 
     @override
     def drawings(self, answer: Demonstration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Errors of the fits, then the profiles."""
         from identknee.report.sweep_figures import starts_figure
 
         methods = listed(dict.fromkeys(x.method for x in answer.starts))
@@ -132,13 +121,11 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def curves(self, answer: Demonstration, beside: Sequence[Answer]) -> "LaxityCurves":
-        """The laxity simulated."""
         return simulated_curves(answer)
 
     @override
     def pictures(self, answer: Demonstration, knee: Knee) -> dict[str, "Figure"]:
-        """The starts, the profiles and the knee."""
-        from identknee.report.profile_figures import profiles_figure
+        from identknee.report.parameter_figures import profiles_figure
         from identknee.report.scene import scene
         from identknee.report.sweep_figures import starts_figure
 
@@ -150,15 +137,12 @@ class DemonstrationPresenter(Presenter[Demonstration]):
 
     @override
     def ranges(self, answer: Demonstration) -> Iterator[tuple[str, Range]]:
-        """The set of each parameter."""
         yield from ((x.name, profile_range(x)) for x in answer.profiles.values())
 
     @override
     def headline(self, answer: Demonstration) -> str:
-        """What it was made to show."""
         return next(self.statements(answer)).sentence
 
     @override
     def protocol(self, answer: Demonstration) -> Protocol:
-        """The trials simulated."""
         return answer.protocol

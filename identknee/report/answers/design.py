@@ -1,7 +1,7 @@
 """Which trials to measure next, and what they would tell."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,15 @@ from typing_extensions import override
 from identknee.identify.optimum import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_description
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
-from identknee.report.words import counted, interval_words, times, trial_list
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
+from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.marginalise import SHARE
 from identknee.runs.schema import summary_of
 from identknee.runs.words import (
     capitalised,
     error_words,
+    interval,
     label,
     label_without_unit,
     listed,
@@ -30,6 +28,47 @@ from identknee.runs.words import (
 from identknee.subject.knee import Knee
 from identknee.verbs.design import ADVICE, Design
 from identknee.verbs.values import AdvisedTrial
+
+
+def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
+    """Trials to do, the beginning of a sentence."""
+    return capitalised(counted(map(trial_description, trials)))
+
+
+def counted(told: Iterable[str]) -> str:
+    """A list in which what comes more than once stands once, with how often.
+
+    Examples
+    --------
+    >>> counted(["a", "b", "a"])
+    'a (twice) and b'
+    """
+    counts = Counter(told)
+    return listed(x if n == 1 else f"{x} ({times(n)})" for x, n in counts.items())
+
+
+def times(n: int) -> str:
+    """How often, in words.
+
+    Examples
+    --------
+    >>> times(1), times(2), times(3)
+    ('once', 'twice', '3 times')
+    """
+    return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
+def interval_words(lower: float | None, upper: float | None, unit: str) -> str:
+    """An interval as what a quantity is, open ends included.
+
+    Examples
+    --------
+    >>> interval_words(9.5, 10.5, "kN"), interval_words(None, None, "kN")
+    ('9.5 to 10.5 kN', 'open on both sides')
+    """
+    if lower is None and upper is None:
+        return "open on both sides"
+    return interval((lower, upper), unit)
 
 
 def trials_words(trials: Sequence[AdvisedTrial]) -> str:
@@ -47,12 +86,10 @@ def table_of_trials(trials: Sequence[tuple[str, str]]) -> Table:
     counts = Counter(words for _, words in trials)
     first = {words: name for name, words in reversed(trials)}
     has_repeats = max(counts.values(), default=1) > 1
-    return Table(
-        title="Trials to add, the most informative first",
-        columns=(Column(name="trial"), Column(name="what to do"), Column(name="repeats")),
-        rows=tuple(
-            (first[words], words, times(n) if has_repeats else "") for words, n in counts.items()
-        ),
+    return table(
+        "Trials to add, the most informative first",
+        ("trial", "what to do", "repeats"),
+        ((first[words], words, times(n) if has_repeats else "") for words, n in counts.items()),
     )
 
 
@@ -78,18 +115,6 @@ def better_known_statements(answer: Design) -> Iterator[Statement]:
     )
     is_more = best["narrowing"] > trial["narrowing"]
     than = "more than any" if is_more else "less than the best"
-    yield Statement(
-        question=Question.NEXT,
-        sentence=f"Knowing the {error_words(best['name'])} twice as well"
-        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}. "
-        f"That is {than} of the {len(trials)} candidate trials "
-        f"(one more {_trial(answer, trial['name'])}: {_percent(trial)}).",
-        tables=(_ranking(answer),),
-    )
-
-
-def _ranking(answer: Design) -> Table:
-    """Both kinds together, the most helpful first; of several targets the one that gains most."""
     several = len(answer.choice.targets) > 1
     rows = [
         (
@@ -99,13 +124,16 @@ def _ranking(answer: Design) -> Table:
         )
         for x in answer.choice.ranking[:MOST_ROWS]
     ]
-    most = (Column(name="most of all"), Column(name="by", unit="%", decimals=1))
-    columns = (
-        Column(name="one more trial, or halved uncertainty"),
-        Column(name="narrows by", unit="%", decimals=1),
-        *(most if several else ()),
+    heads = ("one more trial, or halved uncertainty", ("narrows by", 1, "%"))
+    most = ("most of all", ("by", 1, "%"))
+    yield Statement(
+        question=Question.NEXT,
+        sentence=f"Knowing the {error_words(best['name'])} twice as well"
+        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}. "
+        f"That is {than} of the {len(trials)} candidate trials "
+        f"(one more {_trial(answer, trial['name'])}: {_percent(trial)}).",
+        tables=(table("Narrowing of the targets", (*heads, *(most if several else ())), rows),),
     )
-    return Table(title="Narrowing of the targets", columns=columns, rows=tuple(rows))
 
 
 def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
@@ -143,40 +171,6 @@ def _percent(row: dict[str, Any]) -> str:
 MOST_NAMED = 3
 
 
-def design_statements(answer: Design) -> Iterator[Statement]:
-    """The trials that shrink open intervals most and by how much, then what was not offered."""
-    choice = answer.choice
-    name = choice.targets[0]
-    before, after = choice.before[name], choice.after[name]
-    targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
-    if len(choice.targets) > MOST_NAMED:
-        targets = f"all {len(choice.targets)} targets"
-    trials = counted(map(trial_description, answer.trials))
-    yield Statement(
-        question=Question.NEXT,
-        sentence=f"Next test for {targets}: {trials}. "
-        f"{_narrowing_words(name, before, after)} {ADVICE} lists the "
-        "trials, to be filled in and appended to the data.",
-        tables=(_targets(answer), _trials(answer)),
-        is_answer=True,
-    )
-    yield from better_known_statements(answer)
-    if choice.excluded:
-        yield Statement(
-            question=Question.NEXT,
-            sentence=f"{len(choice.excluded)} of {choice.n_candidates} candidates were excluded; "
-            f"for example, {choice.excluded[0].sentence}",
-        )
-
-
-def _narrowing_words(name: str, before: Profile, after: Profile) -> str:
-    words = capitalised(parameter_words(name))
-    now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
-    return f"{words} {'stays' if now == then else 'would then be'} {then}" + (
-        "." if now == then else f"; it is {now} now."
-    )
-
-
 def _targets(answer: Design) -> Table:
     choice = answer.choice
     rows = tuple(
@@ -188,12 +182,8 @@ def _targets(answer: Design) -> Table:
         )
         for name in choice.targets
     )
-    columns = tuple(Column(name=x) for x in ("target", "now", "predicted", "simulated"))
-    return Table(title="Intervals of the targets", columns=columns, rows=rows)
-
-
-def _trials(answer: Design) -> Table:
-    return table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials])
+    heads = ("target", "now", "predicted", "simulated")
+    return table("Intervals of the targets", heads, rows)
 
 
 def _ends(*ends: float | None) -> str:
@@ -212,12 +202,49 @@ class DesignPresenter(Presenter[Design]):
 
     @override
     def statements(self, answer: Design) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from design_statements(answer)
+        """The trials that shrink open intervals most and by how much, then what was not offered."""
+        choice = answer.choice
+        name = choice.targets[0]
+        before, after = choice.before[name], choice.after[name]
+        targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
+        if len(choice.targets) > MOST_NAMED:
+            targets = f"all {len(choice.targets)} targets"
+        trials = counted(map(trial_description, answer.trials))
+        words = capitalised(parameter_words(name))
+        now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
+        narrowing_words = f"{words} {'stays' if now == then else 'would then be'} {then}" + (
+            "." if now == then else f"; it is {now} now."
+        )
+        yield self.say(
+            f"Next test for {targets}: {trials}. "
+            f"{narrowing_words} {ADVICE} lists the "
+            "trials, to be filled in and appended to the data.",
+            table(
+                "Intervals of the targets",
+                ("target", "now", "predicted", "simulated"),
+                (
+                    (
+                        label(x),
+                        _ends(choice.before[x].lower, choice.before[x].upper),
+                        _ends(*choice.predicted_ends[x]),
+                        _ends(choice.after[x].lower, choice.after[x].upper),
+                    )
+                    for x in choice.targets
+                ),
+            ),
+            table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
+            is_answer=True,
+        )
+        yield from better_known_statements(answer)
+        if choice.excluded:
+            yield self.say(
+                f"{len(choice.excluded)} of {choice.n_candidates} candidates were "
+                "excluded; "
+                f"for example, {choice.excluded[0].sentence}"
+            )
 
     @override
     def drawings(self, answer: Design, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """What the advised trials would bring, and all that were to choose from."""
         from identknee.report.design_figures import (
             candidates_figure,
             intervals_figure,
@@ -264,7 +291,6 @@ class DesignPresenter(Presenter[Design]):
 
     @override
     def next_tests(self, answer: Design) -> Iterator[str]:
-        """The trials, and how they narrow the first target."""
         choice = answer.choice
         name = choice.targets[0]
         before, after = choice.before[name], choice.after[name]

@@ -15,14 +15,18 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
-from identknee.report.answers.design import sizes_words, trial_table, trials_words
+from identknee.report.answers.design import sizes_words, trial_list, trial_table, trials_words
 from identknee.report.answers.isolability import SIZES, detectable_sizes
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range, Source, open_ends_text
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
-from identknee.report.words import trial_list
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+    open_ends_text,
+)
+from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.schema import summary_of
 from identknee.runs.words import (
@@ -36,7 +40,7 @@ from identknee.runs.words import (
 )
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis import Diagnosis, FamilyGain, GainFound, Misfit, RivalFound
+from identknee.verbs.diagnosis import Diagnosis, FamilyGain, GainFound, Misfit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,39 +60,6 @@ FOUND = {
     Cell.EXCLUDED: "excluded",
     Cell.INCONCLUSIVE: "neither seen nor excluded",
 }
-
-
-def diagnosis_statements(answer: Diagnosis) -> Iterator[Statement]:
-    """The verdict, where the misfit is, what the cause changes, and the trials that would tell."""
-    yield Statement(
-        question=Question.WRONG,
-        sentence=verdict_sentence(answer),
-        tables=_verdict_tables(answer),
-        is_answer=True,
-    )
-    if answer.misfit is not None and answer.misfit.cells:
-        yield _where(answer.misfit)
-    # Null where no trial could be held out.
-    if answer.gain is not None and answer.gain.rmse_held_out["after"].noise >= 0.0:
-        yield _gain(answer.gain)
-    if answer.parameters_before is not None:
-        yield _change(answer)
-    if (whichever := _parameters_by_explanation(answer)) is not None:
-        yield whichever
-    if answer.noise is not None:
-        yield Statement(question=Question.WRONG, sentence=answer.noise.sentence)
-    if answer.effects:
-        yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
-    if answer.advised_trials:
-        said = "" if answer.advice is None else answer.advice.sentence
-        yield Statement(
-            question=Question.NEXT,
-            sentence=f"Next test: {trials_words(answer.advised_trials)}. {said}",
-            tables=(trial_table(answer.advised_trials),),
-            is_answer=True,
-        )
-    if answer.advice is not None and answer.advice.distance_with_error_halved:
-        yield _better_known(answer, answer.advice)
 
 
 def verdict_sentence(answer: Diagnosis) -> str:
@@ -126,31 +97,7 @@ def size_words(cause: Cause) -> str:
 
 
 def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
-    tables = [_reasons(answer), _sizes(answer.causes), _compared(answer.rivals)]
-    if answer.misfit is not None:
-        tables.append(_clarity(answer, answer.misfit))
-    return tuple(x for x in tables if x.rows)
-
-
-def _reasons(answer: Diagnosis) -> Table:
-    return Table(
-        title=f"Verdict: {answer.verdict.value}",
-        columns=(Column(name="reason"),),
-        # Its sentence holds them where nothing could be tested.
-        rows=tuple((x,) for x in answer.reasons if answer.verdict is not Verdict.NOT_TESTABLE),
-    )
-
-
-def _largest_first(
-    amplitudes: Collection[tuple[str, Estimate]],
-) -> Sequence[tuple[str, Estimate]]:
-    """The amplitudes as they are, or where they are many the largest first."""
-    if len(amplitudes) <= MOST_AMPLITUDES:
-        return [*amplitudes]
-    return sorted(amplitudes, key=lambda x: -abs(x[1].value))
-
-
-def _sizes(causes: Sequence[Cause]) -> Table:
+    # Its sentence holds them where nothing could be tested.
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
@@ -159,47 +106,55 @@ def _sizes(causes: Sequence[Cause]) -> Table:
             *map(_end, x.ci95),
             cause.source if k == 0 else "",
         )
-        for cause in causes
+        for cause in answer.causes
         for k, (name, x) in enumerate(_largest_first(cause.parameters.items()))
     )
-    columns = (
-        Column(name="amplitude"),
-        Column(name="value", decimals=None),
-        Column(name="95 % from", decimals=None),
-        Column(name="to", decimals=None),
-        Column(name="plausible size"),
-    )
-    return Table(title="Size of the cause", columns=columns, rows=rows, most=MOST_AMPLITUDES)
-
-
-def _compared(rivals: Sequence[RivalFound]) -> Table:
-    rows = tuple(
+    heads = ("amplitude", ("value", None), ("95 % from", None), ("to", None), "plausible size")
+    others = tuple(
         (
             listed(map(cause_label, x.causes)) or "no cause",
             x.log_evidence_deficit,
             x.distance,
             x.state.value,
         )
-        for x in rivals
+        for x in answer.rivals
     )
-    columns = (
-        Column(name="other explanation"),
-        Column(name="log evidence behind", decimals=1),
-        Column(name="distance", unit="sd of the noise", decimals=1),
-        Column(name="state"),
+    names = (
+        "other explanation",
+        ("log evidence behind", 1),
+        ("distance", 1, "sd of the noise"),
+        "state",
     )
-    return Table(title="Other explanations", columns=columns, rows=rows)
+    tables = [
+        table(
+            f"Verdict: {answer.verdict.value}",
+            ("reason",),
+            ((x,) for x in answer.reasons if answer.verdict is not Verdict.NOT_TESTABLE),
+        ),
+        table("Size of the cause", heads, rows, most=MOST_AMPLITUDES),
+        table("Other explanations", names, others),
+    ]
+    if answer.misfit is not None:
+        misfit = answer.misfit
+        strength = (
+            ("p-value of such a misfit from noise alone", answer.p_value),
+            (
+                f"chi-square{' without the cause' if answer.causes else ''}",
+                misfit.chi_square_before,
+            ),
+            *([("chi-square with the cause", misfit.chi_square_after)] if answer.causes else []),
+            ("measured values", misfit.n_measured),
+        )
+        tests = ("test", ("value", None))
+        tables.append(table("Strength of evidence", tests, strength))
+    return tuple(x for x in tables if x.rows)
 
 
-def _clarity(answer: Diagnosis, misfit: Misfit) -> Table:
-    rows = (
-        ("p-value of such a misfit from noise alone", answer.p_value),
-        (f"chi-square{' without the cause' if answer.causes else ''}", misfit.chi_square_before),
-        *([("chi-square with the cause", misfit.chi_square_after)] if answer.causes else []),
-        ("measured values", misfit.n_measured),
-    )
-    columns = (Column(name="test"), Column(name="value", decimals=None))
-    return Table(title="Strength of evidence", columns=columns, rows=rows)
+def _largest_first(amplitudes: Collection[tuple[str, Estimate]]) -> Sequence[tuple[str, Estimate]]:
+    """The amplitudes as they are, or where they are many the largest first."""
+    if len(amplitudes) <= MOST_AMPLITUDES:
+        return [*amplitudes]
+    return sorted(amplitudes, key=lambda x: -abs(x[1].value))
 
 
 def _where(misfit: Misfit) -> Statement:
@@ -214,18 +169,12 @@ def _where(misfit: Misfit) -> Statement:
     rows = tuple(
         (label(x.coordinate), x.flexion_deg, x.direction, x.score, x.p_value) for x in misfit.cells
     )
-    columns = (
-        Column(name="coordinate"),
-        Column(name="flexion", unit="deg", decimals=0),
-        Column(name="load"),
-        Column(name="score", decimals=1),
-        Column(name="p", decimals=None),
-    )
+    heads = ("coordinate", ("flexion", 0, "deg"), "load", ("score", 1), ("p", None))
     return Statement(
         question=Question.WRONG,
         sentence=f"The misfit is largest in {places}. "
         f"{100 * misfit.share:.0f} % of what exceeds the noise is there.",
-        tables=(Table(title="Cells that stand out", columns=columns, rows=rows),),
+        tables=(table("Cells that stand out", heads, rows),),
         is_answer=True,
     )
 
@@ -241,17 +190,17 @@ def _gain(gain: GainFound) -> Statement:
         (words, held[key].mm, held[key].deg, held[key].noise, expected[key].noise)
         for key, words in names.items()
     )
-    columns = (
-        Column(name="model"),
-        Column(name="error", unit="mm"),
-        Column(name="error", unit="deg"),
-        Column(name="error", unit="sd of the noise"),
-        Column(name="expected if the model is right", unit="sd of the noise"),
+    heads = (
+        "model",
+        ("error", 2, "mm"),
+        ("error", 2, "deg"),
+        ("error", 2, "sd of the noise"),
+        ("expected if the model is right", 2, "sd of the noise"),
     )
     return Statement(
         question=Question.WRONG,
         sentence=_gain_sentence(gain),
-        tables=(Table(title="Errors of held-out trials", columns=columns, rows=rows),),
+        tables=(table("Errors of held-out trials", heads, rows),),
     )
 
 
@@ -298,11 +247,8 @@ def _change(answer: Diagnosis) -> Statement:
         most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
         words = listed(map(parameter_words, most))
         sentence = f"The cause changes the fitted parameters, most of all {words}."
-    columns = tuple(Column(name=x, decimals=2) for x in heads)
     return Statement(
-        question=Question.WRONG,
-        sentence=sentence,
-        tables=(Table(title=title, columns=columns, rows=tuple(rows)),),
+        question=Question.WRONG, sentence=sentence, tables=(table(title, heads, rows),)
     )
 
 
@@ -321,13 +267,10 @@ def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
         f"{least[best]:.1f} "
         f"units of noise away instead of {now:.1f}; the first trial to add, {trial:.1f}.",
         tables=(
-            Table(
-                title="What would separate the nearest rival",
-                columns=(
-                    Column(name="known twice as well, or added"),
-                    Column(name="distance", unit="sd of the noise", decimals=1),
-                ),
-                rows=tuple(rows),
+            table(
+                "What would separate the nearest rival",
+                ("known twice as well, or added", ("distance", 1, "sd of the noise")),
+                rows,
             ),
         ),
     )
@@ -355,13 +298,7 @@ def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
     return Statement(
         question=Question.WRONG,
         sentence=f"{who} {said}.",
-        tables=(
-            Table(
-                title="Parameters under all open explanations",
-                columns=tuple(Column(name=x) for x in names),
-                rows=tuple(rows),
-            ),
-        ),
+        tables=(table("Parameters under all open explanations", names, rows),),
     )
 
 
@@ -370,13 +307,7 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
         (cause_label(name), FOUND[x.cell], x.score, *detectable_sizes(x), 100.0 * x.power)
         for name, x in effects.items()
     )
-    columns = (
-        Column(name="cause"),
-        Column(name="finding"),
-        Column(name="score", decimals=1),
-        *(Column(name=x) for x in SIZES),
-        Column(name="chance of detecting it", unit="%", decimals=0),
-    )
+    heads = ("cause", "finding", ("score", 1), *SIZES, ("chance of detecting it", 0, "%"))
     counts = Counter(FOUND[x.cell] for x in effects.values())
     known = [x for x, y in FACTS.items() if x not in NOT_OFFERED and not y.is_numerical]
     missing = [cause_label(x) for x in known if x not in effects and x not in uncertain]
@@ -388,9 +319,7 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     if stated:
         said += f" Taken as uncertain from the start: {listed(stated)}."
     return Statement(
-        question=Question.WRONG,
-        sentence=said,
-        tables=(Table(title="Every cause tested", columns=columns, rows=rows),),
+        question=Question.WRONG, sentence=said, tables=(table("Every cause tested", heads, rows),)
     )
 
 
@@ -420,8 +349,31 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def statements(self, answer: Diagnosis) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from diagnosis_statements(answer)
+        """The verdict, where the misfit is, what the cause changes, and what trials would tell."""
+        yield self.say(verdict_sentence(answer), *_verdict_tables(answer), is_answer=True)
+        if answer.misfit is not None and answer.misfit.cells:
+            yield _where(answer.misfit)
+        # Null where no trial could be held out.
+        if answer.gain is not None and answer.gain.rmse_held_out["after"].noise >= 0.0:
+            yield _gain(answer.gain)
+        if answer.parameters_before is not None:
+            yield _change(answer)
+        if (whichever := _parameters_by_explanation(answer)) is not None:
+            yield whichever
+        if answer.noise is not None:
+            yield self.say(answer.noise.sentence)
+        if answer.effects:
+            yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
+        if answer.advised_trials:
+            said = "" if answer.advice is None else answer.advice.sentence
+            yield Statement(
+                question=Question.NEXT,
+                sentence=f"Next test: {trials_words(answer.advised_trials)}. {said}",
+                tables=(trial_table(answer.advised_trials),),
+                is_answer=True,
+            )
+        if answer.advice is not None and answer.advice.distance_with_error_halved:
+            yield _better_known(answer, answer.advice)
 
     @override
     def drawings(self, answer: Diagnosis, subject: str, knee: Knee | None) -> Iterator[Drawing]:
@@ -431,8 +383,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             misfit_words,
             parameters_before_after_figure,
             residuals_figure,
+            wrench_figure,
         )
-        from identknee.report.wrench_figure import wrench_figure
 
         misfit, trials, residuals = answer.misfit, answer.trials, answer.residuals
         # None of them where the data cannot be tested.
@@ -500,14 +452,12 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def pictures(self, answer: Diagnosis, knee: Knee) -> dict[str, "Figure"]:
-        """All figures of a diagnosis."""
         from identknee.report.diagnosis_figures import diagnosis_figures
 
         return diagnosis_figures(answer, knee)
 
     @override
     def ranges(self, answer: Diagnosis) -> Iterator[tuple[str, Range]]:
-        """The interval of each parameter, without and with the causes."""
         pairs = [(Source.DIAGNOSIS, answer.parameters_before, answer.parameters_before_ci95)]
         if answer.causes:
             pairs += [(Source.CAUSE, answer.parameters_after, answer.parameters_after_ci95)]
@@ -523,18 +473,15 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def next_tests(self, answer: Diagnosis) -> Iterator[str]:
-        """The trials that would tell causes apart."""
         if answer.advised_trials:
             said = "" if answer.advice is None else f" {answer.advice.sentence}"
             yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{said}"
 
     @override
     def protocol(self, answer: Diagnosis) -> Protocol | None:
-        """The trials tested."""
         return None if answer.trials is None else answer.trials.protocol
 
     @override
     def missing_line(self, answer: Diagnosis, knee: Knee) -> Array | None:
-        """Ends of the line found."""
         line = answer.line
         return line.in_common_frame(knee) if line is not None and line.is_line else None

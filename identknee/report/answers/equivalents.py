@@ -8,11 +8,8 @@ from typing_extensions import override
 from identknee.identify.equivalents import Extrema
 from identknee.identify.region import ExtremumEnd
 from identknee.laxity.table import COORDINATES
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Band, Presenter
-from identknee.report.range import SDS_95, Range, Source
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import SDS_95, Band, Drawing, Presenter, Range, Source, Statement
+from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,
     between,
@@ -33,73 +30,23 @@ MOST_DRAWN = 16
 USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
 
 
-def equivalents_statements(answer: Equivalents) -> Iterator[Statement]:
-    """The least known stiffness and the sets, then the least known force."""
-    region = answer.region
-    yield Statement(
-        question=Question.KNOWN,
-        sentence=" ".join(
-            [*_least_determined_sentence(region.parameters.values()), *_sets(answer)]
-        ),
-        tables=(_table(region.parameters.values(), "Ranges over all equivalent sets"),),
-        is_answer=True,
-    )
-    forces = _widest_first(region.quantities.values())
-    if forces:
-        widest, shown = forces[0], forces[:MOST_FORCES]
-        several = (
-            f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
-            * (len(forces) > MOST_FORCES)
-        )
-        yield Statement(
-            question=Question.KNOWN,
-            sentence=f"Among such sets, {parameter_words(widest.name)} lies anywhere "
-            f"{between(_ends(widest), widest.unit)}.{several}",
-            tables=(_table(shown, "Forces that differ most"),),
-        )
-
-
-def _least_determined_sentence(parameters: Iterable[Extrema]) -> Iterator[str]:
-    stiffness = [x for x in parameters if x.name.endswith(STIFFNESS)]
-    for x in _widest_first(stiffness)[:1]:
-        yield (
-            "Two knees that this measurement cannot distinguish may differ by "
-            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
-            f"({interval(_ends(x), x.unit)})."
-        )
-
-
-def _sets(answer: Equivalents) -> Iterator[str]:
-    region = answer.region
-    yield (
-        f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
-        f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
-        f"{region.closest:.3g}. {region.sentence}"
-    )
-    if answer.power_of_best_test is not None:
-        yield (
-            "Even the most powerful test at the 5 % level distinguishes one of them from the fit "
-            "in only "
-            f"{100 * answer.power_of_best_test:.0f} of 100 measurements."
-        )
-
-
 def _table(ranges: Iterable[Extrema], title: str) -> Table:
-    return Table(
-        title=title,
-        columns=(
-            Column(name="quantity"),
-            Column(name="lowest", decimals=None),
-            Column(name="fit", decimals=None),
-            Column(name="highest", decimals=None),
-            Column(name="remark"),
+    return table(
+        title,
+        ("quantity", ("lowest", None), ("fit", None), ("highest", None), "remark"),
+        (
+            (
+                label(x.name),
+                x.smallest,
+                x.at_fit,
+                x.largest,
+                " ".join(
+                    sorted({y.end.sentence for y in (x.lower, x.upper) if y.end not in USUAL})
+                ),
+            )
+            for x in ranges
         ),
-        rows=tuple((label(x.name), x.smallest, x.at_fit, x.largest, _note(x)) for x in ranges),
     )
-
-
-def _note(x: Extrema) -> str:
-    return " ".join(sorted({y.end.sentence for y in (x.lower, x.upper) if y.end not in USUAL}))
 
 
 def _widest_first(ranges: Iterable[Extrema]) -> Sequence[Extrema]:
@@ -119,13 +66,46 @@ class EquivalentsPresenter(Presenter[Equivalents]):
 
     @override
     def statements(self, answer: Equivalents) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from equivalents_statements(answer)
+        """The least known stiffness and the sets, then the least known force."""
+        region = answer.region
+        stiffness = [x for x in region.parameters.values() if x.name.endswith(STIFFNESS)]
+        said = [
+            "Two knees that this measurement cannot distinguish may differ by "
+            f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
+            f"({interval(_ends(x), x.unit)})."
+            for x in _widest_first(stiffness)[:1]
+        ]
+        said.append(
+            f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
+            f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
+            f"{region.closest:.3g}. {region.sentence}"
+        )
+        if answer.power_of_best_test is not None:
+            said.append(
+                "Even the most powerful test at the 5 % level distinguishes one of them from the "
+                f"fit in only {100 * answer.power_of_best_test:.0f} of 100 measurements."
+            )
+        yield self.say(
+            " ".join(said),
+            _table(region.parameters.values(), "Ranges over all equivalent sets"),
+            is_answer=True,
+        )
+        forces = _widest_first(region.quantities.values())
+        if forces:
+            widest, shown = forces[0], forces[:MOST_FORCES]
+            several = (
+                f" The table lists the {MOST_FORCES} of {len(forces)} forces that differ most."
+                * (len(forces) > MOST_FORCES)
+            )
+            yield self.say(
+                f"Among such sets, {parameter_words(widest.name)} lies anywhere "
+                f"{between(_ends(widest), widest.unit)}.{several}",
+                _table(shown, "Forces that differ most"),
+            )
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """The sets, and the ranges of forces."""
-        from identknee.report.equivalents_figures import ranges_figure, sets_figure
+        from identknee.report.parameter_figures import ranges_figure, sets_figure
 
         region, names = answer.region, answer.region.parameter_names
         apart = answer.coordinates - answer.coordinates.mean(axis=0)
@@ -160,12 +140,10 @@ class EquivalentsPresenter(Presenter[Equivalents]):
 
     @override
     def band(self, answer: Equivalents) -> Band:
-        """All that the sets predict."""
         return "equivalent sets", answer.coordinates, (0.0, 1.0)
 
     @override
     def ranges(self, answer: Equivalents) -> Iterator[tuple[str, Range]]:
-        """From the smallest to the largest value of each quantity."""
         reach = answer.region.limit / SDS_95**2 if answer.criterion == "noise" else None
         for x in answer.region.extrema:
             yield (

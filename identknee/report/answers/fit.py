@@ -10,15 +10,14 @@ from typing_extensions import override
 from identknee.checks.fit_checks import AT_END
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.presenter import Presenter, of_type, presenter_of
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import Presenter, Question, Statement, of_type, presenter_of
+from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
 from identknee.verbs.answer import Answer
-from identknee.verbs.fit import Calibration, HeldOut
+from identknee.verbs.fit import Calibration
 
 if TYPE_CHECKING:
     from identknee.report.laxity_figures import LaxityCurves
@@ -29,83 +28,6 @@ NO_ERROR = 1e-4
 MOST_ERRORS = 8
 # Fits in a figure.
 MOST_LINES = 4
-
-
-def fit_statements(answer: Calibration) -> Iterator[Statement]:
-    """How well the fit reproduces the data, and how the search ended."""
-    if answer.outcome is Outcome.START_FAILED:
-        # What the search began with is no fit, and its error is that of the other trials.
-        yield Statement(question=Question.SEARCH, sentence=answer.sentence, is_answer=True)
-        return
-    sizes = ((answer.rmse.mm, "mm"), (answer.rmse.deg, "deg"))
-    errors = [
-        amount(size, unit) if size >= NO_ERROR else f"less than {NO_ERROR:g} {unit}"
-        for size, unit in sizes
-        if np.isfinite(size)
-    ]
-    is_good = all(x.severity is Severity.INFO for x in answer.findings)
-    caution = " A good fit does not show that its parameters are right." if is_good else ""
-    plural = "" if answer.rmse.n_compared == 1 else "s"
-    yield Statement(
-        question=Question.SEARCH,
-        sentence=f"The best fit reproduces the measured laxity to {listed(errors)} on average "
-        f"(RMSE over {answer.rmse.n_compared} measured value{plural}). {answer.sentence}{caution}",
-        tables=(_table(answer), *nuisance_tables(answer)),
-        is_answer=True,
-    )
-    if answer.held_out is not None:
-        yield _held_out(answer.held_out)
-
-
-def _held_out(held: HeldOut) -> Statement:
-    sizes = [f"{amount(x, unit_of(k))} {coordinate_words(k)}" for k, x in held.rmse.items()]
-    lost = (
-        f" {len(held.lost)} of them have no prediction: {listed(held.lost)}." if held.lost else ""
-    )
-    share = f"{100 * held.within_90:.0f} % of the values predicted lie in their 90 % intervals."
-    shown = f" {share}" if sizes else ""
-    errors = f", to {listed(sizes)} on average (RMSE)" if sizes else ""
-    return Statement(
-        question=Question.SEARCH,
-        sentence=f"The fit predicts {len(held.trials)} held-out trials{errors}.{lost}{shown}",
-        tables=(
-            Table(
-                title="Trials held out",
-                columns=(
-                    Column(name="value"),
-                    Column(name="measured", decimals=2),
-                    Column(name="predicted", decimals=2),
-                    Column(name="sd", decimals=2),
-                ),
-                rows=tuple(
-                    (f"{label(x.coordinate)} in {x.trial}", x.measured, x.predicted, x.sd)
-                    for x in held.values
-                ),
-            ),
-        ),
-    )
-
-
-def _table(answer: Calibration) -> Table:
-    search = answer.search
-    notes = dict.fromkeys(parameters_at_bounds(answer), "at its bound")
-    notes |= dict.fromkeys(search.fixed, "fixed")
-    nuisances = {x.name for x in answer.nuisances}
-    rows = zip(answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True)
-    return Table(
-        title="Fitted parameters",
-        columns=(
-            Column(name="parameter"),
-            Column(name="start", decimals=None),
-            Column(name="fitted", decimals=None),
-            Column(name="remark"),
-        ),
-        rows=tuple(
-            (label(name), start, end, notes.get(name, ""))
-            for name, start, end in rows
-            if name not in nuisances
-        ),
-    )
 
 
 def parameters_at_bounds(answer: Calibration) -> tuple[str, ...]:
@@ -123,23 +45,12 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
     """What a fit says of stated errors; nothing where none are stated."""
     if answer.nuisances:
         moved = sorted(answer.nuisances, key=lambda x: -abs(x.away))
-        yield Table(
-            title="Stated errors of geometry and tests at the fit, largest shifts first",
-            columns=(
-                Column(name="error"),
-                Column(name="fitted", decimals=None),
-                Column(name="sd", decimals=None),
-                Column(name="stated sd", decimals=None),
-            ),
-            rows=tuple((label(x.name), x.value, x.sd, x.prior_sd) for x in moved),
+        yield table(
+            "Stated errors of geometry and tests at the fit, largest shifts first",
+            ("error", ("fitted", None), ("sd", None), ("stated sd", None)),
+            ((label(x.name), x.value, x.sd, x.prior_sd) for x in moved),
             most=MOST_ERRORS,
         )
-
-
-def _fits_of(first: Calibration, beside: Sequence[Answer]) -> list[Calibration]:
-    """All fits of the same trials, in the order of their results."""
-    fits = of_type(beside, Calibration)
-    return [x for x in fits if x.protocol.trials == first.protocol.trials][:MOST_LINES]
 
 
 def _band(
@@ -157,10 +68,73 @@ def _band(
 class CalibrationPresenter(Presenter[Calibration]):
     """How a fit is shown."""
 
+    question = Question.SEARCH
+
     @override
     def statements(self, answer: Calibration) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from fit_statements(answer)
+        """How well the fit reproduces the data, and how the search ended."""
+        if answer.outcome is Outcome.START_FAILED:
+            # What the search began with is no fit, and its error is that of the other trials.
+            yield self.say(answer.sentence, is_answer=True)
+            return
+        sizes = ((answer.rmse.mm, "mm"), (answer.rmse.deg, "deg"))
+        errors = [
+            amount(size, unit) if size >= NO_ERROR else f"less than {NO_ERROR:g} {unit}"
+            for size, unit in sizes
+            if np.isfinite(size)
+        ]
+        is_good = all(x.severity is Severity.INFO for x in answer.findings)
+        caution = " A good fit does not show that its parameters are right." if is_good else ""
+        plural = "" if answer.rmse.n_compared == 1 else "s"
+        search = answer.search
+        notes = dict.fromkeys(parameters_at_bounds(answer), "at its bound")
+        notes |= dict.fromkeys(search.fixed, "fixed")
+        nuisances = {x.name for x in answer.nuisances}
+        rows = zip(
+            answer.parameter_names, search.start.tolist(), search.theta.tolist(), strict=True
+        )
+        yield self.say(
+            f"The best fit reproduces the measured laxity to {listed(errors)} on average "
+            f"(RMSE over {answer.rmse.n_compared} measured value{plural}). "
+            f"{answer.sentence}{caution}",
+            table(
+                "Fitted parameters",
+                ("parameter", ("start", None), ("fitted", None), "remark"),
+                (
+                    (label(name), start, end, notes.get(name, ""))
+                    for name, start, end in rows
+                    if name not in nuisances
+                ),
+            ),
+            *nuisance_tables(answer),
+            is_answer=True,
+        )
+        if answer.held_out is not None:
+            held = answer.held_out
+            sizes_held = [
+                f"{amount(x, unit_of(k))} {coordinate_words(k)}" for k, x in held.rmse.items()
+            ]
+            lost = (
+                f" {len(held.lost)} of them have no prediction: {listed(held.lost)}."
+                if held.lost
+                else ""
+            )
+            share = (
+                f"{100 * held.within_90:.0f} % of the values predicted lie in their 90 % intervals."
+            )
+            shown = f" {share}" if sizes_held else ""
+            to = f", to {listed(sizes_held)} on average (RMSE)" if sizes_held else ""
+            yield self.say(
+                f"The fit predicts {len(held.trials)} held-out trials{to}.{lost}{shown}",
+                table(
+                    "Trials held out",
+                    ("value", ("measured", 2), ("predicted", 2), ("sd", 2)),
+                    (
+                        (f"{label(x.coordinate)} in {x.trial}", x.measured, x.predicted, x.sd)
+                        for x in held.values
+                    ),
+                ),
+            )
 
     @override
     def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":
@@ -169,7 +143,8 @@ class CalibrationPresenter(Presenter[Calibration]):
         def as_measured(values: Array) -> Array:
             return from_zero(values, answer.protocol, answer.data.zero)
 
-        fits = _fits_of(answer, beside)
+        fits = of_type(beside, Calibration)
+        fits = [x for x in fits if x.protocol.trials == answer.protocol.trials][:MOST_LINES]
         return replace(
             simulated_curves(answer, answer.data),
             simulated={
@@ -181,5 +156,4 @@ class CalibrationPresenter(Presenter[Calibration]):
 
     @override
     def protocol(self, answer: Calibration) -> Protocol:
-        """The trials fitted to."""
         return answer.protocol

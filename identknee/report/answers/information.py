@@ -5,57 +5,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.information import Boundary, Information
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import SDS_95, Range, Source
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.identify.information import Boundary
+from identknee.report.presenter import SDS_95, Drawing, Presenter, Range, Source, Statement
+from identknee.report.tables import table
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
-
-
-def information_statements(answer: LocalIdentifiability) -> Iterator[Statement]:
-    """Whether data could determine every parameter, how well these do, and what they leave."""
-    found, structure = answer.fisher, answer.structure
-    n = len(found.parameter_names)
-    alike = ""
-    if n > 1:
-        pair = found.most_collinear[0]
-        words = listed(map(parameter_words, pair.parameters))
-        alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
-    yield _known(
-        f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
-        f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
-        "prediction."
-        f"{alike}"
-    )
-    yield _known(
-        f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the solver"
-        f". Their condition number is {found.condition:.3g}.",
-        Table(
-            title="Combinations of parameters, from well to poorly determined",
-            columns=(
-                Column(name="combination, in scaled units"),
-                Column(name="eigenvalue", decimals=None),
-                Column(name="noise floor", decimals=None),
-            ),
-            rows=tuple(
-                (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
-                for x in found.spectrum
-            ),
-        ),
-    )
-    yield _known(
-        "These standard deviations linearise the model at the best fit; profiles do not.",
-        _parameters(found),
-    )
-    for path in answer.geodesics:
-        yield _known(
-            "The geodesic along the least-determined combination ends "
-            f"{_end(path.boundary, path.involved)}."
-        )
 
 
 def _end(boundary: Boundary, involved: Sequence[str]) -> str:
@@ -75,30 +30,11 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
     }[boundary]
 
 
-def _known(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
-
-
 def _combination_words(combination: str, names: Sequence[str]) -> str:
     """A combination with its parameters in words."""
     for name in sorted(names, key=len, reverse=True):
         combination = combination.replace(name, label_without_unit(name))
     return combination.replace(" +", ", +").replace(" -", ", \u2212")
-
-
-def _parameters(found: Information) -> Table:
-    return Table(
-        title="Parameters around the best fit",
-        columns=(
-            Column(name="parameter"),
-            Column(name="best", decimals=None),
-            Column(name="sd", decimals=None),
-        ),
-        rows=tuple(
-            (label(name), float(best), float(sd))
-            for name, best, sd in zip(found.parameter_names, found.theta, found.sd, strict=True)
-        ),
-    )
 
 
 class InformationPresenter(Presenter[LocalIdentifiability]):
@@ -109,15 +45,57 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
 
     @override
     def statements(self, answer: LocalIdentifiability) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from information_statements(answer)
+        """Whether data could determine every parameter, how well these do, and what they leave."""
+        found, structure = answer.fisher, answer.structure
+        n = len(found.parameter_names)
+        alike = ""
+        if n > 1:
+            pair = found.most_collinear[0]
+            words = listed(map(parameter_words, pair.parameters))
+            alike = f" Hardest to separate are {words} (collinearity {pair.collinearity:.3g})."
+        yield self.say(
+            f"{structure.sentence} The rank is {max(structure.rank, 0)} of {n}. "
+            f"Of {structure.n_points} random parameter sets, {structure.n_with_prediction} have a "
+            "prediction."
+            f"{alike}"
+        )
+        yield self.say(
+            f"{found.n_above_noise} of {n} combinations of parameters exceed the noise of the "
+            "solver"
+            f". Their condition number is {found.condition:.3g}.",
+            table(
+                "Combinations of parameters, from well to poorly determined",
+                ("combination, in scaled units", ("eigenvalue", None), ("noise floor", None)),
+                (
+                    (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
+                    for x in found.spectrum
+                ),
+            ),
+        )
+        yield self.say(
+            "These standard deviations linearise the model at the best fit; profiles do not.",
+            table(
+                "Parameters around the best fit",
+                ("parameter", ("best", None), ("sd", None)),
+                (
+                    (label(name), float(best), float(sd))
+                    for name, best, sd in zip(
+                        found.parameter_names, found.theta, found.sd, strict=True
+                    )
+                ),
+            ),
+        )
+        for path in answer.geodesics:
+            yield self.say(
+                "The geodesic along the least-determined combination ends "
+                f"{_end(path.boundary, path.involved)}."
+            )
 
     @override
     def drawings(
         self, answer: LocalIdentifiability, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        """The eigenvalues and the eigenvectors."""
-        from identknee.report.information_figures import eigenvectors_figure, spectrum_figure
+        from identknee.report.parameter_figures import eigenvectors_figure, spectrum_figure
 
         found = answer.fisher
         yield Drawing(
@@ -138,7 +116,6 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
 
     @override
     def ranges(self, answer: LocalIdentifiability) -> Iterator[tuple[str, Range]]:
-        """1.96 standard errors around each parameter."""
         found = answer.fisher
         for name, best, sd in zip(
             found.parameter_names, found.theta.tolist(), found.sd.tolist(), strict=True

@@ -8,17 +8,13 @@ from typing_extensions import override
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import Distances
 from identknee.model.effects.facts import cause_label
-from identknee.report.answers.design import trial_table, trials_words
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
-from identknee.report.words import trial_list
+from identknee.report.answers.design import trial_list, trial_table, trials_words
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
+from identknee.report.tables import table
 from identknee.runs.schema import summary_of
 from identknee.runs.words import amount, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
-from identknee.verbs.values import AdvisedTrial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,53 +23,11 @@ MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
 
 
-def isolability_statements(answer: Isolability) -> Iterator[Statement]:
-    """What a protocol could show, before there are data."""
-    rows = tuple(
-        (
-            cause_label(name),
-            *detectable_sizes(x),
-            listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
-        )
-        for name, x in answer.effects.items()
-    )
-    names = ("cause", *SIZES, "looks like")
-    table = Table(
-        title="What these trials could show in nine of ten data sets",
-        columns=tuple(Column(name=x) for x in names),
-        rows=rows,
-    )
-    trials = f"The {answer.n_trials} trials of {answer.protocol}"
-    together = "; ".join(_few(x.effects) for x in answer.groups)
-    said = "would distinguish all causes."
-    if answer.groups:
-        said = f"could not distinguish all causes. These are confounded: {together}."
-    yield Statement(
-        question=Question.WRONG, sentence=f"{trials} {said}", tables=(table,), is_answer=True
-    )
-    for group in answer.groups:
-        if group.advised_trials:
-            yield Statement(
-                question=Question.NEXT,
-                sentence=f"{_more_trials(group.advised_trials)} would help to distinguish "
-                f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
-                f"closest would then be {group.distance_with_advised_trials:.1f} and not "
-                f"{group.distance:.1f} units of noise apart.",
-                tables=(trial_table(group.advised_trials),),
-            )
-
-
 def detectable_sizes(x: Detectability) -> tuple[str, str]:
     """The size that nine of ten data sets would show, and the smallest that matters."""
     # Not finite in a computed answer, not a number in a loaded one.
     seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
     return seen, amount(x.relevant, x.unit)
-
-
-def _more_trials(trials: Sequence[AdvisedTrial]) -> str:
-    if len(trials) == 1:
-        return f"One more trial ({trials_words(trials)})"
-    return f"{len(trials)} more trials"
 
 
 def _few(causes: Sequence[str]) -> str:
@@ -95,12 +49,38 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def statements(self, answer: Isolability) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from isolability_statements(answer)
+        """What a protocol could show, before there are data."""
+        rows = tuple(
+            (
+                cause_label(name),
+                *detectable_sizes(x),
+                listed(map(cause_label, answer.look_alikes.get(name, ()))) or "-",
+            )
+            for name, x in answer.effects.items()
+        )
+        names = ("cause", *SIZES, "looks like")
+        shown = table("What these trials could show in nine of ten data sets", names, rows)
+        trials = f"The {answer.n_trials} trials of {answer.protocol}"
+        together = "; ".join(_few(x.effects) for x in answer.groups)
+        said = "would distinguish all causes."
+        if answer.groups:
+            said = f"could not distinguish all causes. These are confounded: {together}."
+        yield self.say(f"{trials} {said}", shown, is_answer=True)
+        for group in answer.groups:
+            if group.advised_trials:
+                n = len(group.advised_trials)
+                one = f"One more trial ({trials_words(group.advised_trials)})"
+                yield Statement(
+                    question=Question.NEXT,
+                    sentence=f"{one if n == 1 else f'{n} more trials'} would help to distinguish "
+                    f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
+                    f"closest would then be {group.distance_with_advised_trials:.1f} and not "
+                    f"{group.distance:.1f} units of noise apart.",
+                    tables=(trial_table(group.advised_trials),),
+                )
 
     @override
     def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Which causes the trials could tell apart."""
         from identknee.report.diagnosis_figures import isolability_figure
 
         yield Drawing(
@@ -113,14 +93,12 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
-        """The same as a file."""
         from identknee.report.diagnosis_figures import isolability_figure
 
         return {"isolability": isolability_figure(distances_of(answer))}
 
     @override
     def next_tests(self, answer: Isolability) -> Iterator[str]:
-        """The trials that would tell causes apart."""
         for group in answer.groups:
             if group.advised_trials:
                 trials = trial_list([summary_of(x) for x in group.advised_trials])

@@ -5,13 +5,17 @@ from dataclasses import replace
 
 from typing_extensions import override
 
-from identknee.identify.profile.pairs import PairProfile
 from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.range import Range, Source, open_ends_text
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Range,
+    Source,
+    Statement,
+    open_ends_text,
+)
+from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,
     between,
@@ -36,14 +40,6 @@ PROFILE_WORDS = {
 }
 
 
-def profile_statements(answer: Profiles) -> Iterator[Statement]:
-    """How many quantities are known, then one by one."""
-    yield from parameter_statements(tuple(answer.parameters.values()))
-    yield from _predictions(tuple(answer.quantities.values()))
-    for pair in answer.pairs:
-        yield _joint_set_sentence(pair)
-
-
 def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterator[Statement]:
     """The same of parameters alone.
 
@@ -65,16 +61,6 @@ def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterat
             tables=(_table(group, f"{100 * group[0].level:g} % profile intervals of {kind}"),),
             is_answer=k == 0,
         )
-
-
-def _joint_set_sentence(pair: PairProfile) -> Statement:
-    closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
-    names = listed(map(parameter_words, pair.names))
-    return Statement(
-        question=Question.KNOWN,
-        sentence=f"The joint set of {names} is bounded along {closed} of {len(pair.rays)} paths "
-        "from the best pair.",
-    )
 
 
 def _quantity_sentences(profiles: Sequence[Profile]) -> str:
@@ -146,28 +132,18 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
     return f"at {level:g} % confidence the data bound {which} {said}."
 
 
-def _predictions(profiles: Sequence[Profile]) -> Iterator[Statement]:
-    """Forces and laxities, the widest first and the rest behind it."""
-    if profiles:
-        yield Statement(
-            question=Question.KNOWN,
-            sentence=_quantity_sentences(profiles),
-            tables=(_table(profiles, "Forces and laxities that the data do not exclude"),),
-        )
-
-
 def _table(profiles: Sequence[Profile], title: str) -> Table:
-    return Table(
-        title=title,
-        columns=(
-            Column(name="quantity"),
-            Column(name="lower end", decimals=None),
-            Column(name="best", decimals=None),
-            Column(name="upper end", decimals=None),
-            Column(name="verdict"),
-            Column(name="simulations"),
+    return table(
+        title,
+        (
+            "quantity",
+            ("lower end", None),
+            ("best", None),
+            ("upper end", None),
+            "verdict",
+            "simulations",
         ),
-        rows=tuple(
+        (
             (
                 label(x.name),
                 _end(x.lower_side),
@@ -194,7 +170,7 @@ def profile_drawings(
     profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
 ) -> Iterator[Drawing]:
     """Intervals and curves of profiles, beside the true values where these are known."""
-    from identknee.report.profile_figures import intervals_figure, profiles_figure
+    from identknee.report.parameter_figures import intervals_figure, profiles_figure
 
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
@@ -245,22 +221,32 @@ class ProfilesPresenter(Presenter[Profiles]):
 
     @override
     def statements(self, answer: Profiles) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from profile_statements(answer)
+        """How many quantities are known, then one by one."""
+        yield from parameter_statements(tuple(answer.parameters.values()))
+        profiles = tuple(answer.quantities.values())
+        if profiles:
+            yield self.say(
+                _quantity_sentences(profiles),
+                _table(profiles, "Forces and laxities that the data do not exclude"),
+            )
+        for pair in answer.pairs:
+            closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
+            names = listed(map(parameter_words, pair.names))
+            yield self.say(
+                f"The joint set of {names} is bounded along {closed} of {len(pair.rays)} "
+                "paths from the best pair."
+            )
 
     @override
     def drawings(self, answer: Profiles, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Intervals and curves."""
         yield from profile_drawings(answer.profiles)
 
     @override
     def ranges(self, answer: Profiles) -> Iterator[tuple[str, Range]]:
-        """The set of each quantity."""
         yield from ((x.name, profile_range(x)) for x in answer.profiles)
 
     @override
     def joined(self, first: Profiles, later: Profiles) -> Profiles:
-        """Both together; what both have counts as the later has it."""
         return replace(
             first,
             parameters={**first.parameters, **later.parameters},

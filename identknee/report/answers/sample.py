@@ -1,20 +1,25 @@
 """What a sample of the posterior says: how probable values are, and whether to rely on it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from typing_extensions import override
 
 from identknee.identify.posterior.posterior import SampleOutcome
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Band, Presenter
-from identknee.report.range import NOT_CONVERGED, Range, Source
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import (
+    NOT_CONVERGED,
+    Band,
+    Drawing,
+    Presenter,
+    Range,
+    Source,
+    Statement,
+)
+from identknee.report.tables import table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
-from identknee.verbs.sample import Marginal, Nested, Predictive, Sample
+from identknee.verbs.sample import Sample
 
 STIFFNESS = "stiffness_kN"
 MOST_DRAWS = 400
@@ -34,30 +39,6 @@ CONDITIONS = {
 }
 
 
-def sample_statements(answer: Sample) -> Iterator[Statement]:
-    """What is probable, whether the sample converged, and what the prior excludes."""
-    if answer.last_check is None:
-        yield _statement(_is_reliable(answer))
-        return
-    yield _statement(
-        f"Given the prior and the data, {_probable(answer.parameters)}. {_is_reliable(answer)}",
-        _table(answer.parameters),
-    )
-    check = answer.last_check
-    yield _statement(
-        f"Each walker made {check.steps} steps, of which the first {check.burn_in} were discarded; "
-        f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
-        _conditions(answer),
-    )
-    yield _statement(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
-    if answer.nested is not None:
-        yield _statement(_nested_sampling_comparison(answer.nested))
-
-
-def _statement(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.KNOWN, sentence=sentence, tables=tables)
-
-
 def _is_reliable(answer: Sample) -> str:
     """Whether the sample may be relied on."""
     if answer.outcome is SampleOutcome.CONVERGED:
@@ -69,86 +50,11 @@ def _is_reliable(answer: Sample) -> str:
     return f"The sample has not converged. {answer.sentence}{count}{remedy}"
 
 
-def _probable(marginals: Mapping[str, Marginal]) -> str:
-    """Intervals of a few parameters, stiffnesses where there are any."""
-    names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
-    parts = []
-    for name in names[:MOST_NAMED]:
-        unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
-        limits = (marginals[name].q025, marginals[name].q975)
-        parts.append(f"{interval(limits, unit)} for {parameter_words(name)}")
-    return f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
-
-
-def _table(marginals: Mapping[str, Marginal]) -> Table:
-    heads = ("parameter", "mean", "sd", "2.5 %", "97.5 %", "R-hat", "effective draws")
-    return Table(
-        title="Posterior of the parameters",
-        columns=tuple(Column(name=x, decimals=None) for x in heads),
-        rows=tuple(
-            (label(name), x.mean, x.sd, x.q025, x.q975, x.rhat, x.ess_bulk)
-            for name, x in marginals.items()
-        ),
-    )
-
-
-def _conditions(answer: Sample) -> Table:
-    return Table(
-        title="Conditions of convergence",
-        columns=(
-            Column(name="condition"),
-            Column(name="value", decimals=None),
-            Column(name="bar", decimals=None),
-            Column(name="met"),
-        ),
-        rows=tuple(
-            (CONDITIONS.get(name, name), x["value"], x["bar"], "yes" if x["met"] else "no")
-            for name, x in answer.gate.items()
-        ),
-    )
-
-
-def _nested_sampling_comparison(nested: Nested) -> str:
-    worst = float(np.max(np.abs(nested.quantile_differences)))
-    return (
-        f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
-        f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint standard "
-        "errors at most."
-    )
-
-
-def _forces_drawing(predictive: Predictive, names: Sequence[str]) -> Drawing:
-    from identknee.report.sample_figures import forces_figure
-
-    tensions = predictive.tension_N.reshape(-1, *predictive.tension_N.shape[-2:])
-    # A trial may have no prediction anywhere.
-    known = np.flatnonzero(np.isfinite(tensions).any(axis=(0, 2)))
-    spread = np.nanquantile(tensions[:, known], QUANTILES, axis=0)
-    widths = (spread[-1] - spread[0]).max(axis=1)
-    chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
-    trials = [names[i] for i in known[chosen]]
-    return Drawing(
-        name="forces",
-        figure=forces_figure(trials, predictive.ligaments, np.moveaxis(spread[:, chosen], 0, -1)),
-        caption="Ligament forces in the trials where they are least certain, around their medians: "
-        "thick bars hold 50 %, thin bars 95 % of the posterior.",
-        description=f"Ranges of the tension of {listed(predictive.ligaments)} in {len(trials)} "
-        f"trials; the widest has {widths.max():.0f} N.",
-    )
-
-
 def _thinned(theta: Array) -> Array:
     """Some of the draws of all chains, evenly apart, shape ``(n, p)``."""
     flat = theta.reshape(-1, theta.shape[-1])
     chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
     return np.asarray(flat[chosen])
-
-
-def _quantiles(draws: Array) -> Array:
-    """Shape ``(3, trial, ligament)``; NaN where a trial has no prediction at any draw."""
-    known = np.isfinite(draws).any(axis=0)
-    limits = np.nanquantile(np.where(known, draws, 0.0), TAILS, axis=0)
-    return np.where(known, limits, np.nan)
 
 
 def _force_ranges(
@@ -171,13 +77,63 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def statements(self, answer: Sample) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from sample_statements(answer)
+        """What is probable, whether the sample converged, and what the prior excludes."""
+        if answer.last_check is None:
+            yield self.say(_is_reliable(answer))
+            return
+        marginals = answer.parameters
+        names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
+        parts = []
+        for name in names[:MOST_NAMED]:
+            unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
+            limits = (marginals[name].q025, marginals[name].q975)
+            parts.append(f"{interval(limits, unit)} for {parameter_words(name)}")
+        probable = (
+            f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
+        )
+        heads = ("parameter", "mean", "sd", "2.5 %", "97.5 %", "R-hat", "effective draws")
+        yield self.say(
+            f"Given the prior and the data, {probable}. {_is_reliable(answer)}",
+            table(
+                "Posterior of the parameters",
+                [(x, None) for x in heads],
+                (
+                    (label(name), x.mean, x.sd, x.q025, x.q975, x.rhat, x.ess_bulk)
+                    for name, x in answer.parameters.items()
+                ),
+            ),
+        )
+        check = answer.last_check
+        yield self.say(
+            f"Each walker made {check.steps} steps, of which the first {check.burn_in} were "
+            "discarded; "
+            f"{100 * check.acceptance.mean():.0f} % of the proposals were accepted.",
+            table(
+                "Conditions of convergence",
+                ("condition", ("value", None), ("bar", None), "met"),
+                (
+                    (CONDITIONS.get(name, name), x["value"], x["bar"], "yes" if x["met"] else "no")
+                    for name, x in answer.gate.items()
+                ),
+            ),
+        )
+        yield self.say(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
+        if answer.nested is not None:
+            nested = answer.nested
+            worst = float(np.max(np.abs(nested.quantile_differences)))
+            yield self.say(
+                f"Nested sampling: log evidence {nested.log_evidence:.2f} ± "
+                f"{nested.log_evidence_error:.2f}; its quantiles differ by {worst:.1f} joint "
+                "standard errors at most."
+            )
 
     @override
     def drawings(self, answer: Sample, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Prior and posterior, pairs of parameters, and forces."""
-        from identknee.report.sample_figures import corner_figure, prior_posterior_figure
+        from identknee.report.parameter_figures import (
+            corner_figure,
+            forces_figure,
+            prior_posterior_figure,
+        )
 
         if answer.draws is None:
             return
@@ -199,11 +155,27 @@ class SamplePresenter(Presenter[Sample]):
             description=f"Pairwise posterior of {told}.",
         )
         if answer.predictive is not None and answer.data is not None:
-            yield _forces_drawing(answer.predictive, answer.data.protocol.trials)
+            predictive = answer.predictive
+            tensions = predictive.tension_N.reshape(-1, *predictive.tension_N.shape[-2:])
+            # A trial may have no prediction anywhere.
+            known = np.flatnonzero(np.isfinite(tensions).any(axis=(0, 2)))
+            spread = np.nanquantile(tensions[:, known], QUANTILES, axis=0)
+            widths = (spread[-1] - spread[0]).max(axis=1)
+            chosen = np.sort(np.argsort(-widths)[:MOST_FORCES])
+            trials = [answer.data.protocol.trials[i] for i in known[chosen]]
+            yield Drawing(
+                name="forces",
+                figure=forces_figure(
+                    trials, predictive.ligaments, np.moveaxis(spread[:, chosen], 0, -1)
+                ),
+                caption="Ligament forces in the trials where they are least certain, around their "
+                "medians: thick bars hold 50 %, thin bars 95 % of the posterior.",
+                description=f"Ranges of the tension of {listed(predictive.ligaments)} in "
+                f"{len(trials)} trials; the widest has {widths.max():.0f} N.",
+            )
 
     @override
     def band(self, answer: Sample) -> Band | None:
-        """Predictions of the posterior."""
         if answer.predictive is None:
             return None
         values = answer.predictive.coordinates
@@ -211,7 +183,6 @@ class SamplePresenter(Presenter[Sample]):
 
     @override
     def ranges(self, answer: Sample) -> Iterator[tuple[str, Range]]:
-        """The central 95 % of each parameter and force."""
         status = "probable" if answer.outcome is SampleOutcome.CONVERGED else NOT_CONVERGED
         for name, x in answer.parameters.items():
             yield (
@@ -224,4 +195,6 @@ class SamplePresenter(Presenter[Sample]):
             trials, ligaments = answer.data.protocol.trials, answer.predictive.ligaments
             tension = answer.predictive.tension_N
             draws = tension.reshape(-1, *tension.shape[-2:])
-            yield from _force_ranges(_quantiles(draws), trials, ligaments, status)
+            known = np.isfinite(draws).any(axis=0)
+            limits = np.nanquantile(np.where(known, draws, 0.0), TAILS, axis=0)
+            yield from _force_ranges(np.where(known, limits, np.nan), trials, ligaments, status)

@@ -1,17 +1,15 @@
 """What a sensitivity analysis says: which parameter moves which laxity most."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from typing_extensions import override
 
 from identknee.identify.sensitivity import Sensitivity
 from identknee.laxity.trial_words import UNLOADED
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
+from identknee.report.tables import Table, table
 from identknee.runs.words import coordinate_words, label, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.sensitivity import GlobalSensitivity
@@ -36,27 +34,6 @@ MEANINGS = {
 }
 
 
-def sensitivity_statements(answer: GlobalSensitivity) -> Iterator[Statement]:
-    """Which parameter moves which laxity most, and how well that is known."""
-    found = answer.analysis
-    if found.share_failed == 1.0:
-        # Indices of means alone would be numbers about nothing.
-        yield _statement(
-            f"None of the {found.n_simulations} simulations has a prediction in every trial, so no "
-            "index can be given."
-        )
-        return
-    yield _statement(
-        f"{_most_influential(answer)} The largest index of each parameter is "
-        f"{MEANINGS[found.method]}.",
-        _table(answer),
-    )
-    yield _statement(
-        f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
-        f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
-    )
-
-
 def _missing(found: Sensitivity) -> str:
     """What half-widths of 0.02 would take; empty where they are reached."""
     missing = found.missing_simulations
@@ -70,10 +47,6 @@ def _missing(found: Sensitivity) -> str:
     # Two digits: the estimate is no better.
     rounded = f"{float(f'{missing:.2g}'):,.0f}"
     return f" Half-widths of 0.02 in every group would take about {rounded} more simulations."
-
-
-def _statement(sentence: str, *tables: Table) -> Statement:
-    return Statement(question=Question.LAXITY, sentence=sentence, tables=tables)
 
 
 def _most_influential(answer: GlobalSensitivity) -> str:
@@ -96,10 +69,10 @@ def _most_influential(answer: GlobalSensitivity) -> str:
     return f"By {measure}, laxity depends most on {parameter_words(name)}: {where}."
 
 
-def _group(answer: GlobalSensitivity, name: str) -> str:
-    """A group of outputs as a cell of a table has it."""
+def _group(answer: GlobalSensitivity, name: str, words: Callable[[str], str]) -> str:
+    """A group of outputs, its coordinate in `words`."""
     group = answer.group_named(name)
-    return name if group is None else f"{coordinate_words(group.coordinate)}, {group.place}"
+    return name if group is None else f"{words(group.coordinate)}, {group.place}"
 
 
 def _table(answer: GlobalSensitivity) -> Table:
@@ -107,21 +80,21 @@ def _table(answer: GlobalSensitivity) -> Table:
     name = OF_MAIN_INTEREST[found.method]
     index = found.indices[name]
     tops = [found.largest_group(name, i) for i in range(found.parameters.n)]
-    return Table(
-        title="Largest influence of every parameter",
-        columns=(
-            Column(name="parameter"),
-            Column(name=f"index {name}", decimals=3),
-            Column(name="half-width", decimals=3),
-            Column(name="laxity it moves most"),
-            Column(name="index for lost trials", decimals=3),
+    return table(
+        "Largest influence of every parameter",
+        (
+            "parameter",
+            (f"index {name}", 3),
+            ("half-width", 3),
+            "laxity it moves most",
+            ("index for lost trials", 3),
         ),
-        rows=tuple(
+        (
             (
                 label(parameter),
                 float(index.final[top, i]),
                 float(index.final_half_widths[top, i]),
-                _group(answer, found.groups[top]),
+                _group(answer, found.groups[top], coordinate_words),
                 float(index.final[-1, i]),
             )
             for i, (parameter, top) in enumerate(zip(found.parameters.names, tops, strict=True))
@@ -136,15 +109,31 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
 
     @override
     def statements(self, answer: GlobalSensitivity) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from sensitivity_statements(answer)
+        """Which parameter moves which laxity most, and how well that is known."""
+        found = answer.analysis
+        if found.share_failed == 1.0:
+            # Indices of means alone would be numbers about nothing.
+            yield self.say(
+                f"None of the {found.n_simulations} simulations has a prediction in every trial, "
+                "so no "
+                "index can be given."
+            )
+            return
+        yield self.say(
+            f"{_most_influential(answer)} The largest index of each parameter is "
+            f"{MEANINGS[found.method]}.",
+            _table(answer),
+        )
+        yield self.say(
+            f"Of {found.n_simulations} simulations, {100 * found.share_failed:.3g} % had a trial "
+            f"without a prediction. The rule for these: {found.rule_of_lost}.{_missing(found)}"
+        )
 
     @override
     def drawings(
         self, answer: GlobalSensitivity, subject: str, knee: Knee | None
     ) -> Iterator[Drawing]:
-        """The influence of each parameter, and the largest effects."""
-        from identknee.report.sensitivity_figures import effects_figure, map_figure
+        from identknee.report.parameter_figures import effects_figure, map_figure
 
         found = answer.analysis
         name = next((x for x in INDICES if x in found.indices), None)
@@ -174,7 +163,8 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
             # The last group is failure.
             order = np.argsort(-np.nan_to_num(size[:-1], nan=-1.0).max(axis=1))
             panels = {
-                _panel(answer, found.groups[i]): (size[i], width[i], spread[i]) for i in order[:2]
+                _group(answer, found.groups[i], label): (size[i], width[i], spread[i])
+                for i in order[:2]
             }
             yield Drawing(
                 name="effects",
@@ -183,8 +173,3 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
                 "stronger; farther up it depends more on the other parameters.",
                 description=f"Morris effects of {listed(map(label, parameters))}.",
             )
-
-
-def _panel(answer: GlobalSensitivity, name: str) -> str:
-    group = answer.group_named(name)
-    return name if group is None else f"{label(group.coordinate)}, {group.place}"

@@ -7,10 +7,9 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero
-from identknee.laxity.table import COORDINATES, Laxity, LaxityError
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Column, Table
+from identknee.laxity.table import COORDINATES, Laxity
+from identknee.report.presenter import Presenter, Question, Statement
+from identknee.report.tables import table
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
 from identknee.verbs.answer import Answer
@@ -18,49 +17,6 @@ from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
 if TYPE_CHECKING:
     from identknee.report.laxity_figures import LaxityCurves
-
-
-def simulate_statements(answer: Simulation) -> Iterator[Statement]:
-    """How many trials have an equilibrium."""
-    lost = [x for x in answer.trials if x.outcome is not Outcome.CONVERGED]
-    columns = (Column(name="trial"), Column(name="why"))
-    rows = tuple((x.trial, x.reason) for x in lost)
-    table = Table(title="Trials without prediction", columns=columns, rows=rows)
-    blank = " The cells of the others are blank." if lost else ""
-    # A lost trial has the margin of the pose where its search ended, which no knee can hold. The
-    # mesh law has no second derivatives and no margins.
-    stable = [x for x in answer.trials if x.outcome is Outcome.CONVERGED]
-    margins = [x.margin_N_per_mm for x in stable if np.isfinite(x.margin_N_per_mm)]
-    lowest = f" The least stable has a margin of {min(margins):.3g} N/mm." if margins else ""
-    yield Statement(
-        question=Question.LAXITY,
-        sentence=f"{_how_many(answer)} a stable pose.{blank}{lowest}",
-        tables=(table,) if lost else (),
-    )
-    if answer.rmse is not None and answer.rmse.n_compared:
-        yield _error(answer.rmse)
-
-
-def _error(error: LaxityError) -> Statement:
-    names = (*zip(COORDINATES, error.by_coordinate.tolist(), strict=True),)
-    table = Table(
-        title="Error against the measured laxity (root mean square)",
-        columns=(Column(name="coordinate"), Column(name="error", decimals=2), Column(name="unit")),
-        rows=tuple(
-            (label_without_unit(name), size, unit_of(name))
-            for name, size in names
-            if np.isfinite(size)
-        ),
-    )
-    missing = f"; {error.n_missing} have no prediction" if error.n_missing else ""
-    sizes = ((error.mm, "mm"), (error.deg, "deg"))
-    errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
-    return Statement(
-        question=Question.LAXITY,
-        sentence=f"The prediction is off by {listed(errors)} on average (RMSE over "
-        f"{error.n_compared} measured values{missing}).",
-        tables=(table,),
-    )
 
 
 def _how_many(answer: Simulation) -> str:
@@ -86,17 +42,49 @@ def simulated_curves(answer: SimulatedLaxity, data: Laxity | None = None) -> "La
 class SimulationPresenter(Presenter[Simulation]):
     """How a simulation is shown."""
 
+    question = Question.LAXITY
+
     @override
     def statements(self, answer: Simulation) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from simulate_statements(answer)
+        """How many trials have an equilibrium."""
+        lost = [x for x in answer.trials if x.outcome is not Outcome.CONVERGED]
+        reasons = table(
+            "Trials without prediction", ("trial", "why"), ((x.trial, x.reason) for x in lost)
+        )
+        blank = " The cells of the others are blank." if lost else ""
+        # A lost trial has the margin of the pose where its search ended, which no knee can hold.
+        # The mesh law has no second derivatives and no margins.
+        stable = [x for x in answer.trials if x.outcome is Outcome.CONVERGED]
+        margins = [x.margin_N_per_mm for x in stable if np.isfinite(x.margin_N_per_mm)]
+        lowest = f" The least stable has a margin of {min(margins):.3g} N/mm." if margins else ""
+        yield self.say(
+            f"{_how_many(answer)} a stable pose.{blank}{lowest}", *((reasons,) if lost else ())
+        )
+        if answer.rmse is not None and answer.rmse.n_compared:
+            error = answer.rmse
+            names = zip(COORDINATES, error.by_coordinate.tolist(), strict=True)
+            by_coordinate = table(
+                "Error against the measured laxity (root mean square)",
+                ("coordinate", ("error", 2), "unit"),
+                (
+                    (label_without_unit(name), size, unit_of(name))
+                    for name, size in names
+                    if np.isfinite(size)
+                ),
+            )
+            missing = f"; {error.n_missing} have no prediction" if error.n_missing else ""
+            sizes = ((error.mm, "mm"), (error.deg, "deg"))
+            errors = [amount(size, unit) for size, unit in sizes if np.isfinite(size)]
+            yield self.say(
+                f"The prediction is off by {listed(errors)} on average (RMSE over "
+                f"{error.n_compared} measured values{missing}).",
+                by_coordinate,
+            )
 
     @override
     def curves(self, answer: Simulation, beside: Sequence[Answer]) -> "LaxityCurves":
-        """The laxity simulated, and with noise if that was added."""
         return simulated_curves(answer, answer.noisy)
 
     @override
     def protocol(self, answer: Simulation) -> Protocol:
-        """The trials simulated."""
         return answer.protocol

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
+from identknee.report.presenter import Presenter, Question, Statement
 from identknee.subject.knee import Knee
 from identknee.verbs.subject import SettledSubject, SubjectCheck, SubjectFacts
 
@@ -26,20 +25,10 @@ def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
 
 def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
     """Side and ligaments, and whether stability was not checked."""
-    yield from subject_statements(answer)
+    yield from SubjectPresenter().statements(answer)
     if answer.stability is None:
         sentence = "Stability was not checked: correct the errors below first."
         yield Statement(question=Question.WRONG, sentence=sentence)
-
-
-def settle_statements(answer: SettledSubject) -> Iterator[Statement]:
-    """How many trials converge, and which insertions moved."""
-    sentence = (
-        f"{answer.n_after} of {answer.n_trials} trials converge, {answer.n_before} before; the "
-        f"lowest stability margin is {answer.lowest_margin:.3g} N/mm."
-    )
-    moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
-    yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *moved]))
 
 
 class SubjectPresenter(Presenter[SubjectFacts]):
@@ -47,12 +36,10 @@ class SubjectPresenter(Presenter[SubjectFacts]):
 
     @override
     def statements(self, answer: SubjectFacts) -> Iterator[Statement]:
-        """What the answer says."""
         yield from subject_statements(answer)
 
     @override
     def pictures(self, answer: SubjectFacts, knee: Knee) -> dict[str, "Figure"]:
-        """The knee in its scanned pose."""
         from identknee.report.scene import scene
 
         return {"scene": scene(knee)}
@@ -63,7 +50,6 @@ class SubjectCheckPresenter(Presenter[SubjectCheck]):
 
     @override
     def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
-        """What the answer says."""
         yield from check_statements(answer)
 
 
@@ -72,5 +58,10 @@ class SettledSubjectPresenter(Presenter[SettledSubject]):
 
     @override
     def statements(self, answer: SettledSubject) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from settle_statements(answer)
+        """How many trials converge, and which insertions moved."""
+        sentence = (
+            f"{answer.n_after} of {answer.n_trials} trials converge, {answer.n_before} before; the "
+            f"lowest stability margin is {answer.lowest_margin:.3g} N/mm."
+        )
+        moved = [f"  {x.words}" for x in answer.moved] or ["No insertion was moved."]
+        yield self.say("\n".join([sentence, *moved]))

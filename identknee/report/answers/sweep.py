@@ -6,12 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.cliffs import CliffMap
 from identknee.identify.sweep import END, OUTCOMES, POLISHED, Recovery, Survey
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import Presenter
-from identknee.report.statement import Question, Statement
-from identknee.report.tables import Cell, Column, Table
+from identknee.report.presenter import Drawing, Presenter, Question, Statement
+from identknee.report.tables import Cell, Table, table
 from identknee.runs.record import Outcome
 from identknee.runs.words import label, listed
 from identknee.subject.knee import Knee
@@ -28,46 +25,12 @@ ENDED = {
 SEARCHES = {END: "the search itself", POLISHED: "the polished search"}
 
 
-def sweep_statements(answer: Sweep) -> Iterator[Statement]:
-    """Where searches ended, what they may have missed, and how near one must start."""
-    survey = answer.survey
-    yield _statement(_ends(survey), _kinds(survey), _basins(survey), is_answer=True)
-    if survey.unseen.n:
-        yield _statement(
-            f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
-            f"{_pct(survey.unseen.upper)} %) would end at a minimum not reached by any search."
-        )
-    recoveries = survey.recoveries
-    if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
-        either = " or ".join(SEARCHES[x] for x in recoveries)
-        yield _statement(_radius(next(iter(recoveries.values())), either, survey.within))
-    else:
-        for name, recovery in recoveries.items():
-            yield _statement(_radius(recovery, SEARCHES[name], survey.within))
-    if answer.cliffs is not None:
-        yield _statement(_cliffs(answer.cliffs))
-
-
-def _statement(sentence: str, *tables: Table, is_answer: bool = False) -> Statement:
-    return Statement(
-        question=Question.SEARCH, sentence=sentence, tables=tables, is_answer=is_answer
-    )
-
-
-def _ends(survey: Survey) -> str:
-    searches, n = survey.searches, survey.basins.n_basins
-    ends = listed(f"{number} {ENDED[kind]}" for kind, number in searches.kinds.items())
-    places = "one and the same set of parameters" if n == 1 else f"{n} different sets of parameters"
-    found = f" Those at a minimum found {places}." if n else ""
-    return f"Of {searches.n} {searches.method} searches from different starts, {ends}.{found}"
-
-
 def _kinds(survey: Survey) -> Table:
     searches = survey.searches
-    return Table(
-        title="What stopped the searches",
-        columns=(*(Column(name=x) for x in ("end", "searches", "after polishing", "meaning")),),
-        rows=tuple(
+    return table(
+        "What stopped the searches",
+        ("end", "searches", "after polishing", "meaning"),
+        (
             (
                 kind.replace("_", " "),
                 searches.kinds.get(kind, 0),
@@ -76,28 +39,6 @@ def _kinds(survey: Survey) -> Table:
             )
             for kind in dict.fromkeys([*searches.kinds, *searches.polished_outcomes])
         ),
-    )
-
-
-def _basins(survey: Survey) -> Table:
-    """A column a basin, the first ones: a row for each would be wider than any screen."""
-    names = survey.searches.parameters.names_of_interest
-    listed_basins = survey.basins.listed
-    shown = listed_basins[:MOST_BASINS]
-    left = len(listed_basins) - len(shown)
-    rows: tuple[tuple[Cell, ...], ...] = (
-        ("objective", *(x["objective"] for x in shown)),
-        ("starts", *(x["n_starts"] for x in shown)),
-        (f"{SHARES} [%]", *(round(100 * x["share"]) for x in shown)),
-        *((label(name), *(x["parameters"][name] for x in shown)) for name in names),
-    )
-    return Table(
-        title=f"Where searches ended{f' (the first {len(shown)} basins)' * bool(left)}",
-        columns=(
-            Column(name="quantity"),
-            *(Column(name=f"basin {k}", decimals=None) for k, _ in enumerate(shown, 1)),
-        ),
-        rows=rows,
     )
 
 
@@ -117,14 +58,6 @@ def _radius(recovery: Recovery, searches: str, within: float) -> str:
     )
 
 
-def _cliffs(cliffs: CliffMap) -> str:
-    lost = ", ".join(f"{name} (on {n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST])
-    return (
-        f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best fit the "
-        f"simulated knee jumps{f', most often in trial {lost}' if lost else ''}."
-    )
-
-
 def _pct(share: float) -> str:
     return f"{100 * share:.2g}" if share < 0.995 else "100"
 
@@ -140,12 +73,59 @@ class SweepPresenter(Presenter[Sweep]):
 
     @override
     def statements(self, answer: Sweep) -> Iterator[Statement]:
-        """What the answer says."""
-        yield from sweep_statements(answer)
+        """Where searches ended, what they may have missed, and how near one must start."""
+        survey = answer.survey
+        searches, n = survey.searches, survey.basins.n_basins
+        ends = listed(f"{number} {ENDED[kind]}" for kind, number in searches.kinds.items())
+        places = (
+            "one and the same set of parameters" if n == 1 else f"{n} different sets of parameters"
+        )
+        found = f" Those at a minimum found {places}." if n else ""
+        names = survey.searches.parameters.names_of_interest
+        listed_basins = survey.basins.listed
+        shown = listed_basins[:MOST_BASINS]
+        left = len(listed_basins) - len(shown)
+        rows: tuple[tuple[Cell, ...], ...] = (
+            ("objective", *(x["objective"] for x in shown)),
+            ("starts", *(x["n_starts"] for x in shown)),
+            (f"{SHARES} [%]", *(round(100 * x["share"]) for x in shown)),
+            *((label(name), *(x["parameters"][name] for x in shown)) for name in names),
+        )
+        yield self.say(
+            (f"Of {searches.n} {searches.method} searches from different starts, {ends}.{found}"),
+            _kinds(survey),
+            table(
+                f"Where searches ended{f' (the first {len(shown)} basins)' * bool(left)}",
+                ("quantity", *((f"basin {k}", None) for k, _ in enumerate(shown, 1))),
+                rows,
+            ),
+            is_answer=True,
+        )
+        if survey.unseen.n:
+            yield self.say(
+                f"An estimated {_pct(survey.unseen.estimate)} % of starts (at most "
+                f"{_pct(survey.unseen.upper)} %) would end at a minimum not reached by any search."
+            )
+        recoveries = survey.recoveries
+        if len(recoveries) > 1 and all(x.radius.value == 0.0 for x in recoveries.values()):
+            either = " or ".join(SEARCHES[x] for x in recoveries)
+            yield self.say(_radius(next(iter(recoveries.values())), either, survey.within))
+        else:
+            for name, recovery in recoveries.items():
+                yield self.say(_radius(recovery, SEARCHES[name], survey.within))
+        if answer.cliffs is not None:
+            cliffs = answer.cliffs
+            lost = ", ".join(
+                f"{name} (on {n})" for name, n in list(cliffs.trials_lost.items())[:MOST_LOST]
+            )
+            yield self.say(
+                f"On {cliffs.n_paths_with_cliff} of {cliffs.n_paths} straight paths to the best "
+                "fit "
+                f"the simulated knee jumps{f', most often in trial {lost}' if lost else ''}."
+            )
 
     @override
     def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """What each search reached, and where it began and ended."""
         from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
 
         searches = answer.searches

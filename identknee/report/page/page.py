@@ -1,24 +1,51 @@
 """The page: one HTML file with the answer first and everything it stands on behind it."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from html import escape
-from importlib.resources import files
+import json
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 
-from identknee.report.drawing import Drawing
-from identknee.report.page.laxity_part import laxity_drawings
-from identknee.report.page.markup import element, paragraph, section
-from identknee.report.page.results import Findings, Result, by_subject, drawings
-from identknee.report.page.subject_part import subject_html
-from identknee.report.page.viewer import KneeScene
-from identknee.runs.progress import progress
-from identknee.runs.record import versions
+import numpy as np
+from markupsafe import Markup
 
-# Nothing may be fetched: the page is all there is.
-POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
-    "img-src data: blob:; font-src data:"
+from identknee.diagnosis.verdict import Verdict
+from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
+from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
+from identknee.report.page.markup import document, parts
+from identknee.report.page.results import Findings, Result, by_subject, drawings, laxity_drawings
+from identknee.report.page.svg import inline_svg
+from identknee.report.page.viewer import KneeScene, viewer_html
+from identknee.report.presenter import (
+    Drawing,
+    Question,
+    Statement,
+    assumption_sentences,
+    of_type,
+    presenter_of,
+    statements_of,
 )
+from identknee.report.tables import table
+from identknee.runs.findings import About, Finding, Severity, by_severity
+from identknee.runs.progress import progress
+from identknee.runs.record import Outcome, versions
+from identknee.runs.words import capitalised, label, listed
+from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.fit import Calibration
+from identknee.verbs.registry import verbs
+
+MOST_OPEN = 3
+# Findings about these stand in the part on searches, all others in that on the model.
+OF_SEARCH = (About.STARTS, About.TRIALS, About.EARLIER)
+RIGHT = "What was tested of the model"
+VERDICT_HEADINGS = {
+    Verdict.ADEQUATE: RIGHT,
+    Verdict.NOT_TESTABLE: "Why the model could not be tested",
+}
+# A statement with the result that it is from.
+Sourced = tuple[Statement, str]
 
 
 def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | None = None) -> str:
@@ -33,25 +60,27 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     """
     shown = scenes or {}
     subjects = by_subject(results)
-    level = 2 if len(subjects) == 1 else 3
-    parts = [
-        subject_html(x, k, level, shown.get(x.results[0].subject_digest))
-        for k, x in enumerate(subjects, 1)
-    ]
-    names = _names(subjects)
-    main = "".join(
-        content if level == 2 else section(f"subject-{k}", f"Subject {name}", content)
-        for k, (name, content) in enumerate(zip(names, parts, strict=True), 1)
-    )
-    title = f"Knee report: {', '.join(dict.fromkeys(x.title for x in subjects))}"
-    head = element("h1", escape(title)) + paragraph(_lead(results), class_="lead")
-    body = (
-        '<a class="skip" href="#main">Skip to the answer</a>'
-        + element("header", head)
-        + element("main", main, id="main")
-        + element("footer", paragraph(f"{_maker()}. This page works offline."))
-    )
-    return document(title, body, has_viewer=bool(shown))
+    titles = [x.title for x in subjects]
+    named = []
+    for k, x in enumerate(subjects):
+        name = x.title
+        if titles.count(name) > 1:
+            # Of one knee that was taken in several ways also which is meant.
+            stated = x.results[0].record["settings"].get("uncertain")
+            given = [stated] if isinstance(stated, str) else stated or ()
+            told = ", ".join(",".join(given).replace(" ", "").split(","))
+            number = titles[: k + 1].count(name)
+            name = f"{name} ({f'uncertain {told}' if told else f'number {number}'})"
+        level = 2 if len(subjects) == 1 else 3
+        scene = shown.get(x.results[0].subject_digest)
+        named.append((name, _subject_html(x, k + 1, level, scene)))
+    title = f"Knee report: {', '.join(dict.fromkeys(titles))}"
+    done = ", ".join(dict.fromkeys(x.verb for x in results))
+    days = sorted({str(x.record["started"])[:10] for x in results})
+    when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+    lead = f"From {done}, computed {when}. Every sentence links to its numbers."
+    maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
+    return document(title, parts().body(title, lead, named, maker), has_viewer=bool(shown))
 
 
 def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
@@ -66,53 +95,250 @@ def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
             yield f"{beside}{result.verb}-{drawing.name}", drawing
 
 
-def document(title: str, body: str, *, has_viewer: bool) -> str:
-    """A page with its style and code; with a viewer also the library that draws it."""
-    here = files("identknee.report.page")
-    style = (here / "style.css").read_text(encoding="utf-8")
-    code = (here / "page.js").read_text(encoding="utf-8")
-    library = ""
-    if has_viewer:
-        # Loaded where it is needed: it is large.
-        from plotly.offline import get_plotlyjs
-
-        library = element("script", get_plotlyjs().replace("</script", "<\\/script"))
-    head = (
-        '<meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-        '<link rel="icon" href="data:,">'
-        f"{element('title', escape(title))}{element('style', style)}{library}"
+def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene | None) -> Markup:
+    """The answer, the parts behind it with links to them, and how it was computed."""
+    merged = findings.merged
+    main = overview([x.answer for x in findings.of_main_data])
+    said = _sourced_statements(merged.results)
+    cautions = merge_duplicate_warnings(
+        (x.warning, source) for x, source in said if x.warning is not None
     )
-    return (
-        f'<!doctype html>\n<html lang="en">{element("head", head)}'
-        f"{element('body', body + element('script', code))}</html>\n"
+    # All errors stand in the open, and as many warnings as leave the table on the first screens;
+    # one more takes no more room than the words that would hide it.
+    n_open = max(MOST_OPEN, sum(x.severity is Severity.ERROR for x in cautions))
+    n_open += len(cautions) == n_open + 1
+    figures = _figures(merged, number)
+    made = [("answer", "The answer", parts().overview(main, cautions, n_open, level))]
+    for question in Question:
+        own = [x for x in said if x[0].question is question and x[0].warning is None]
+        leading = [x for x in own if x[0].is_answer] or own[:1]
+        rest = [x for x in own if x not in leading]
+        drawn = figures.get(question, [])
+        first, more = ([x for x, is_first in drawn if is_first is y] for y in (True, False))
+        content = parts().part(leading, rest, first, more)
+        made.append((question.value, _heading(question, main, merged), content))
+        if question is Question.NEXT and scene is not None:
+            made.append(("knee", "The knee in three dimensions", viewer_html(scene)))
+    made.append(("computed", "How this was computed", _computed_html(findings.results)))
+    further = parts().further(_further_commands(findings))
+    made.append(("further", "What further verbs would answer", further))
+    shown = [(f"{key}-{number}", heading, content) for key, heading, content in made if content]
+    return Markup(parts().subject(findings.title, shown, level))
+
+
+def _heading(question: Question, main: Overview, findings: Findings) -> str:
+    """The heading of a part, as the verdict has it."""
+    if question is Question.KNOWN and main.tone is Tone.WRONG:
+        return "What would be known if the model were right"
+    if question is Question.KNOWN and main.rows and all(x.status in KNOWN for x in main.rows):
+        return "What is known"
+    if question is Question.WRONG:
+        diagnoses = of_type((x.answer for x in findings.results), Diagnosis)
+        if not diagnoses:
+            return RIGHT
+        return VERDICT_HEADINGS.get(diagnoses[-1].verdict, question.heading)
+    return question.heading
+
+
+def _figures(findings: Findings, number: int) -> Mapping[Question, list[tuple[Markup, bool]]]:
+    """The figures by the question they belong to, each with whether it is looked at first."""
+    found = [
+        (shows.questions.get(x.name, shows.question), f"r{k}", x, i == 0 and not shows.is_folded)
+        for k, result in enumerate(progress(findings.results, description="drawing the report"))
+        for shows in [presenter_of(result.answer)]
+        for i, x in enumerate(drawings(result))
+    ]
+    found += [
+        (Question.LAXITY, f"l{k}", x, x.name != "laxity-all")
+        for k, (_, x) in enumerate(laxity_drawings(findings))
+    ]
+    placed: dict[Question, list[tuple[Markup, bool]]] = {}
+    for question, place, x, is_first in found:
+        svg = inline_svg(x.figure, f"s{number}{place}-{x.name}", x.description)
+        html = parts().figure(Markup(svg), x.caption)
+        placed.setdefault(question, []).append((html, is_first))
+    return placed
+
+
+def _computed_html(results: Sequence[Result]) -> Markup:
+    """A table of all results, and their records."""
+    rows = tuple(
+        (
+            x.verb,
+            x.folder.name,
+            _short_path(x.data) or "-",
+            str(x.record["started"])[:16].replace("T", " "),
+            float(x.record["seconds"]),
+            "-" if x.record["seed"] is None else str(x.record["seed"]),
+        )
+        for x in results
+    )
+    heads = ("verb", "folder", "data", "begun (UTC)", ("time", 1, "s"), "seed")
+    records = {f"{x.verb}, {x.folder}": x.record for x in results}
+    return Markup(
+        parts().computed(
+            table("Results on this page", heads, rows),
+            json.dumps(records, indent=2, ensure_ascii=False),
+        )
     )
 
 
-def _names(subjects: Sequence[Findings]) -> list[str]:
-    """Names of the subjects; of one knee that was taken in several ways also which is meant."""
-    titles = [x.title for x in subjects]
-    names = []
-    for k, x in enumerate(subjects):
-        if titles.count(x.title) == 1:
-            names.append(x.title)
-            continue
-        stated = x.results[0].record["settings"].get("uncertain")
-        given = [stated] if isinstance(stated, str) else stated or ()
-        words = ", ".join(",".join(given).replace(" ", "").split(","))
-        number = titles[: k + 1].count(x.title)
-        names.append(f"{x.title} ({f'uncertain {words}' if words else f'number {number}'})")
-    return names
+def _further_commands(findings: Findings) -> list[tuple[str, str]]:
+    """A question and its command for each that no result answers."""
+    done = {x.verb for x in findings.results}
+    if "demo" in done:
+        done.add("profile")
+    data = next((x.data for x in reversed(findings.results) if x.data), None)
+    if data is None:
+        made = findings.of("demo", "simulate")
+        data = str(made[0].folder / "laxity.csv") if made else "DATA.csv"
+    given = shlex.join([findings.subject, data])
+    noise = " --noise 0.5mm,0.5deg" if "demo" in done else ""
+    return [
+        (
+            x.suggestion,
+            f"identknee {x.name} {given}{noise * (x.name not in ('fit', 'sensitivity'))}",
+        )
+        for x in verbs()
+        if x.suggestion and x.name not in done
+    ]
 
 
-def _maker() -> str:
-    return f"Made by identknee {versions().get('identknee', '')}".rstrip()
+def _short_path(path: str) -> str:
+    """The last two parts of a path."""
+    return "/".join(path.replace("\\", "/").rstrip("/").split("/")[-2:])
 
 
-def _lead(results: Sequence[Result]) -> str:
-    verbs = ", ".join(dict.fromkeys(x.verb for x in results))
-    days = sorted({str(x.record["started"])[:10] for x in results})
-    when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    return f"From {verbs}, computed {when}. Every sentence links to its numbers."
+def _source(result: Result) -> str:
+    return f"{result.verb} of {_short_path(result.data)}" if result.data else result.verb
+
+
+def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
+    """What results say: fits of one table side by side, what several take for granted once."""
+    fits = of_type([x.answer for x in results], Calibration)
+    ended = [
+        x
+        for x in results
+        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
+    ]
+    # The table that most fits were made to is told of all of them.
+    counts = Counter(x.data_digest for x in ended)
+    main, n = counts.most_common(1)[0] if counts else ("", 0)
+    together = [x for x in ended if x.data_digest == main] if n > 1 else []
+    said: list[Sourced] = []
+    for result in results:
+        # Of a fit that another beats no warning leads the page.
+        is_past = any(has_better_fit(x, fits) for x in of_type([result.answer], Calibration))
+        against = warnings(result)
+        if is_past:
+            against = (replace(x, question=Question.SEARCH, warning=None) for x in against)
+        own = [*against, *statements_of(result.answer)]
+        if result in together:
+            # What leads each of these stands in the table of all.
+            own = [x for x in own if not x.is_answer]
+            if result is together[0]:
+                own.insert(0, _fits_statement([x.answer for x in together]))
+        said += [(x, _source(result)) for x in own]
+    # Assumptions are told with their source if not shared by all.
+    taken = {_source(x): assumption_sentences(x.answer) for x in results}
+    sources = [x for x in taken if taken[x]]
+    by_sources: dict[tuple[str, ...], list[str]] = {}
+    for sentence in dict.fromkeys(x for source in sources for x in taken[source]):
+        owners = tuple(x for x in sources if sentence in taken[x])
+        by_sources.setdefault(owners, []).append(sentence)
+    for owners, sentences in by_sources.items():
+        told = " ".join(sentences)
+        if len(owners) < len(sources):
+            told = f"{capitalised(listed(owners))}: {told}"
+        said.append((Statement(question=Question.KNOWN, sentence=told), listed(owners)))
+    return said
+
+
+def _fits_statement(answers: Sequence[Answer]) -> Statement:
+    """Where several fits of one table ended, how well each fits, and their parameters."""
+    fits = fits_by_start(answers)
+    best = min(fits.values(), key=lambda x: x.objective)
+    ends = table(
+        "How each fit ended",
+        ("start", ("RMSE", None, "mm"), ("RMSE", None, "deg"), ("simulations", 0), "end"),
+        (
+            (name, x.rmse.mm, x.rmse.deg, x.n_simulations, x.outcome.sentence)
+            for name, x in fits.items()
+        ),
+    )
+    values = {
+        start: dict(zip(x.parameter_names, x.search.theta.tolist(), strict=True))
+        for start, x in fits.items()
+    }
+    names = [
+        name
+        for x in fits.values()
+        for name in x.parameter_names
+        if name not in {y.name for y in x.nuisances}
+    ]
+    at_bound = {start: parameters_at_bounds(x) for start, x in fits.items()}
+    rows = []
+    for name in dict.fromkeys(names):
+        starts = [x for x in fits if name in at_bound[x]]
+        remark = "at its bound" if starts else ""
+        if 0 < len(starts) < len(fits):
+            remark += f" from {', '.join(starts)}"
+        rows.append((label(name), *(values[x].get(name, np.nan) for x in fits), remark))
+    parameters = table(
+        "Fitted parameters by start",
+        ("parameter", *((f"from {start}", None) for start in fits), "remark"),
+        rows,
+    )
+    stated = " The stated errors are those of the fit with the lowest misfit."
+    return Statement(
+        question=Question.SEARCH,
+        sentence=f"The tables set the {len(fits)} fits side by side."
+        + stated * bool(best.nuisances),
+        tables=(ends, parameters, *nuisance_tables(best)),
+        is_answer=True,
+    )
+
+
+def warnings(result: Result) -> Iterator[Statement]:
+    """The findings of a result; all but infos lead the page."""
+    for x in result.answer.findings:
+        yield Statement(
+            question=Question.SEARCH if x.kind.about in OF_SEARCH else Question.WRONG,
+            sentence=x.line,
+            warning=None if x.severity is Severity.INFO else x,
+        )
+
+
+def merge_duplicate_warnings(found: Iterable[tuple[Finding, str]]) -> list[Finding]:
+    """Warnings without those that another result gives too, the gravest first.
+
+    Parameters
+    ----------
+    found
+        Each with the result that has it. Where two results find the same, if with other numbers,
+        the one with more values stays, else the first; where each has a value that the other lacks
+        both stay. Findings whose kinds share a lead become one.
+    """
+    kept: list[tuple[Finding, str]] = []
+    for finding, source in found:
+        names = finding.values.keys()
+        same = [
+            place
+            for place, (x, of) in enumerate(kept)
+            if x.identity == finding.identity and of != source
+            if names <= x.values.keys() or x.values.keys() <= names
+        ]
+        if not same:
+            kept.append((finding, source))
+        elif len(names) > len(kept[same[0]][0].values):
+            kept[same[0]] = finding, source
+    by_lead: dict[object, list[Finding]] = {}
+    for place, (finding, _) in enumerate(kept):
+        lead = (finding.severity, finding.kind.lead) if finding.kind.lead else place
+        by_lead.setdefault(lead, []).append(finding)
+    return by_severity(
+        replace(own[0], sentence=own[0].kind.sentence(*(x.detail for x in own)))
+        if len(own) > 1
+        else own[0]
+        for own in by_lead.values()
+    )

@@ -1,18 +1,19 @@
-"""The results in a folder, as the verbs left them."""
+"""The results in a folder, as the verbs left them, and their figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from identknee.laxity.protocol import Protocol
-from identknee.report.drawing import Drawing
-from identknee.report.presenter import presenter_of
+from identknee.report.presenter import Drawing, of_type, presenter_of
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
+from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, SUMMARY, loaded
 from identknee.verbs.registry import verb_named, verbs
 
@@ -173,3 +174,60 @@ def drawings(result: Result) -> tuple[Drawing, ...]:
     """All figures of a result, the most telling first; none where the answer is a table."""
     shows = presenter_of(result.answer)
     return tuple(shows.drawings(result.answer, result.subject, result.knee))
+
+
+def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
+    """Laxity curves of the results that compare a model with data, or else of simulations."""
+    from identknee.report.laxity_figures import (
+        all_coordinates_figure,
+        along_load_figure,
+        by_flexion_figure,
+    )
+
+    fits = findings.of("fit")
+    # Without causes the model of a diagnosis is that of the fits.
+    diagnoses = [
+        x
+        for x in findings.of("diagnose")
+        if not fits or any(y.causes for y in of_type([x.answer], Diagnosis))
+    ]
+    first_fits = {x.data_digest: x for x in reversed(fits)}
+    compared = [*first_fits.values(), *diagnoses] or findings.of("demo", "simulate")
+    for result in compared:
+        beside = [x.answer for x in findings.results if x.data_digest == result.data_digest]
+        curves = presenter_of(result.answer).curves(result.answer, beside)
+        if curves is None:
+            continue
+        measured, drawn = curves.measured is not None, listed(curves.simulated)
+        told = listed([*curves.simulated, *["data"] * measured])
+        if (figure := along_load_figure(curves)) is not None:
+            bars = " with two standard deviations" * (curves.sd is not None)
+            parts = [f"dots: measured{bars}"] * measured + [f"lines: {drawn}"]
+            if curves.band is not None:
+                parts.append(f"band: {curves.band[0]}")
+            caption = f"Displacement along each load; {'; '.join(parts)}."
+            description = f"Laxity along every load at each flexion angle: {told}."
+        else:
+            figure = by_flexion_figure(curves)
+            caption = f"Where the tibia lies in every trial; coloured: {drawn}."
+            if measured:
+                caption = (
+                    "Where the tibia lies in every trial; black: measured, coloured: "
+                    f"{drawn}. A line joins both of one trial: the longer, the worse they agree."
+                )
+            description = f"All five coordinates of every trial against flexion: {told}."
+        yield (
+            result,
+            Drawing(name="laxity", figure=figure, caption=caption, description=description),
+        )
+        if (whole := all_coordinates_figure(curves)) is not None:
+            yield (
+                result,
+                Drawing(
+                    name="laxity-all",
+                    figure=whole,
+                    caption="All five coordinates along every load, also those it does not act "
+                    "on directly.",
+                    description=f"Five coordinates along every load: {told}.",
+                ),
+            )

@@ -5,7 +5,6 @@ import xml.etree.ElementTree as ET
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
@@ -38,7 +37,26 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
     description
         What the figure shows, for those who do not see it.
     """
-    _fix_colours(figure)
+    for axes in figure.axes:
+        has_map = bool(axes.images) or any(x.get_array() is not None for x in axes.collections)
+        for line in axes.lines:
+            if (
+                len(np.atleast_1d(line.get_xdata())) > MANY_POINTS
+                and line.get_linestyle() == "None"
+            ):
+                line.set_rasterized(True)
+            if has_map and to_rgb(line.get_color()) == (0.0, 0.0, 0.0):
+                line.set_color(FIXED_BLACK)
+        for text in axes.texts if has_map else ():
+            if isinstance(text, Annotation):
+                position, transform = text.xy, axes.transData
+            else:
+                position, transform = text.get_position(), text.get_transform()
+            place = axes.transAxes.inverted().transform(transform.transform(position))
+            if to_rgb(text.get_color()) == (0.0, 0.0, 0.0) and bool(
+                np.all((place >= 0.0) & (place <= 1.0))
+            ):
+                text.set_color(FIXED_BLACK)
     buffer = io.StringIO()
     with (
         without_mathtext(figure),
@@ -92,51 +110,20 @@ def _for_page(key: str, value: str, identity: str) -> str:
 def _page_style(name: str, value: str) -> str:
     """The value of a rule of a style."""
     if name in ("fill", "stroke"):
-        return _page_colour(value)
+        if value in PAGE_COLOURS:
+            return PAGE_COLOURS[value]
+        if not value.startswith("#") or value in (FIXED_BLACK, "#ffffff"):
+            return value
+        red, green, blue = to_rgb(value)
+        if not (red == green == blue):
+            return value
+        if red == 0.0:
+            return "currentColor"
+        share = 1.0 - red
+        share = max(share, TEXT_SHARE) if share >= 0.45 else share
+        return f"color-mix(in srgb, currentColor {100 * share:.0f}%, transparent)"
     if name == "font-family":
         return "var(--figure-font)"
     if name == "font":  # such as "italic 10px 'DejaVu Sans'"
         return f"{value[: value.index('px')]}px var(--figure-font)"
     return value
-
-
-def _page_colour(colour: str) -> str:
-    if colour in PAGE_COLOURS:
-        return PAGE_COLOURS[colour]
-    if not colour.startswith("#") or colour in (FIXED_BLACK, "#ffffff"):
-        return colour
-    red, green, blue = to_rgb(colour)
-    if not (red == green == blue):
-        return colour
-    if red == 0.0:
-        return "currentColor"
-    share = 1.0 - red
-    share = max(share, TEXT_SHARE) if share >= 0.45 else share
-    return f"color-mix(in srgb, currentColor {100 * share:.0f}%, transparent)"
-
-
-def _fix_colours(figure: Figure) -> None:
-    """Keep black what lies on a coloured map, and make pictures of what has very many points."""
-    for axes in figure.axes:
-        has_map = bool(axes.images) or any(x.get_array() is not None for x in axes.collections)
-        for line in axes.lines:
-            if (
-                len(np.atleast_1d(line.get_xdata())) > MANY_POINTS
-                and line.get_linestyle() == "None"
-            ):
-                line.set_rasterized(True)
-            if has_map and to_rgb(line.get_color()) == (0.0, 0.0, 0.0):
-                line.set_color(FIXED_BLACK)
-        for text in axes.texts if has_map else ():
-            if to_rgb(text.get_color()) == (0.0, 0.0, 0.0) and _is_inside(axes, text):
-                text.set_color(FIXED_BLACK)
-
-
-def _is_inside(axes: Axes, text: Text) -> bool:
-    """Whether a text, or what an annotation is about, lies within the axes."""
-    if isinstance(text, Annotation):
-        position, transform = text.xy, axes.transData
-    else:
-        position, transform = text.get_position(), text.get_transform()
-    place = axes.transAxes.inverted().transform(transform.transform(position))
-    return bool(np.all((place >= 0.0) & (place <= 1.0)))

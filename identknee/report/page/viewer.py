@@ -1,27 +1,25 @@
 """The knee in three dimensions as HTML for a page that is read offline."""
 
-import html
 import json
-from importlib.resources import files
-from string import Template
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from scipy.spatial import cKDTree
 
 from identknee.calibrate.fit import load_start
 from identknee.laxity.protocol import nominal_loads
 from identknee.laxity.trial_words import setting_words
-from identknee.mechanics.contact_points import distances
-from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of
+from identknee.report.scene import distance_from_femur
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.record import Outcome
@@ -64,7 +62,11 @@ def few_triangles(surface: Surface, number: int) -> Mesh:
     vertices, faces = surface.vertices, surface.faces
     if len(vertices) > number:
         patch, vertices = _patches(surface, number)
-        faces = _joining(patch[faces])
+        corners = patch[faces]
+        a, b, c = corners.T
+        between = corners[(a != b) & (b != c) & (c != a)]
+        _, first = np.unique(np.sort(between, axis=1), axis=0, return_index=True)
+        faces = frozen_integers(between[np.sort(first)])
     return Mesh(vertices=vertices.round(DECIMALS) + 0.0, faces=faces)
 
 
@@ -91,14 +93,6 @@ def _patches(surface: Surface, number: int) -> tuple[IntArray, Array]:
     at_rim = count > 0
     centroids[at_rim] = (np.stack(sums, axis=1) / np.maximum(count, 1)[:, None])[at_rim]
     return np.asarray(patch, np.int64), centroids
-
-
-def _joining(corners: IntArray) -> IntArray:
-    """Triangles between three different patches, each once, turned as it was."""
-    a, b, c = corners.T
-    between = corners[(a != b) & (b != c) & (c != a)]
-    _, first = np.unique(np.sort(between, axis=1), axis=0, return_index=True)
-    return frozen_integers(between[np.sort(first)])
 
 
 # Of femur and tibia as drawn; they have about twice as many triangles.
@@ -181,12 +175,13 @@ def model_scene(
     knee = model.knee
     femur = _drawn(knee.femur, knee.femur_frame, setting, 0)
     tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, setting, 1)
+    columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
     return KneeScene(
         knee=knee,
         femur=femur,
         tibia=tibia,
         names=tuple(names[i] for i in drawn),
-        lines=_selected_lines(lines, drawn),
+        lines=LineLigaments(**{x: np.asarray(getattr(lines, x))[drawn] for x in columns}),
         missing_line=None if missing_line is None else _in_bones(knee, setting, missing_line),
         trials=_trials(model, prediction, setting, tensions[:, drawn], tibia),
     )
@@ -204,7 +199,8 @@ def _trials(
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
-        near, depths = _contact(field, placement.to_femur(tibia.vertices))
+        depths = -distance_from_femur(field, placement.to_femur(tibia.vertices))
+        near = np.flatnonzero(depths > -APART)
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
@@ -214,7 +210,7 @@ def _trials(
                 coordinates=coordinates_from_pose(pose),
                 tensions=tensions[i],
                 near=near,
-                depths=depths,
+                depths=depths[near],
             )
         )
     return tuple(trials)
@@ -224,18 +220,6 @@ def _drawn(surface: Surface, frame: Frame, setting: MechanicsInputs, bone: int) 
     """The surface of femur (0) or tibia (1) in the axes of poses, with few triangles."""
     vertices = setting.as_measured_points(frame.to_local(surface.vertices), bone)
     return few_triangles(Surface(vertices=vertices, faces=surface.faces), N_VERTICES[bone])
-
-
-def _contact(field: DistanceField, places: Array) -> tuple[IntArray, Array]:
-    """Which places touch the femur or nearly do, and how deep they lie in it [mm]."""
-    places = field.to_field(places)
-    cell = np.floor((places - field.origin) / field.spacing)
-    # The outermost cells of the grid lack the support of the spline.
-    inner = (cell >= 1) & (cell <= np.array(field.coefficients.shape) - 3)
-    index = np.flatnonzero(inner.all(axis=1))
-    depths = -distances(field, places[index])[0]
-    near = depths > -APART
-    return index[near], depths[near]
 
 
 def _in_bones(knee: Knee, setting: MechanicsInputs, ends: Array) -> Array:
@@ -263,32 +247,42 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
     return names
 
 
-def _selected_lines(lines: LineLigaments, index: IntArray) -> LineLigaments:
-    columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
-    return LineLigaments(**{x: np.asarray(getattr(lines, x))[index] for x in columns})
-
-
 MICROMETRES = 1000.0  # in a mm
 MARGIN = 8.0  # mm around what is drawn, room for names
 SHAFT = 38.0  # mm, length of the strokes that stand for the bones' shafts
 
 
-def viewer_html(scene: KneeScene) -> str:
+def viewer_html(scene: KneeScene) -> Markup:
     """HTML of the interactive knee: a fragment that needs `Plotly` on its page and nothing else.
 
     A left knee is drawn as a left one. A page may hold several of them.
     """
-    here = files("identknee.report.page")
-    page, style, code = ((here / f"viewer.{x}").read_text("utf-8") for x in ("html", "css", "js"))
+    style, code = beside("viewer.css", "viewer.js")
     data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False)
-    return Template(page).substitute(
-        style=style,
-        code=code,
-        # Nothing in the data can end the element that holds them.
-        data=data.replace("<", "\\u003c"),
-        words=html.escape(_alternative_text(scene)),
-        last=len(scene.trials) - 1,
-        hidden=" hidden" if len(scene.trials) == 1 else "",
+    forces = np.array([x.tensions for x in scene.trials])
+    knee, n = scene.knee, len(scene.trials)
+    said = [f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."]
+    if np.isfinite(forces).any():
+        trial, line = np.unravel_index(np.nanargmax(forces), forces.shape)
+        said.append(
+            f"The largest force is {forces[trial, line]:.0f} N, of {scene.names[line]} in "
+            f"{scene.trials[trial].name}."
+        )
+    lost = [x.name for x in scene.trials if x.outcome is not Outcome.CONVERGED]
+    if lost:
+        said.append(f"{len(lost)} without equilibrium, the first of them {lost[0]}.")
+    return Markup(
+        environment()
+        .get_template("viewer.html")
+        .render(
+            style=style,
+            code=code,
+            # Nothing in the data can end the element that holds them.
+            data=Markup(data.replace("<", "\\u003c")),
+            words=" ".join(said),
+            last=len(scene.trials) - 1,
+            hidden=" hidden" if len(scene.trials) == 1 else "",
+        )
     )
 
 
@@ -373,23 +367,6 @@ def _rounded(values: Array, decimals: int) -> Any:
     return (np.round(values, decimals) + 0.0).tolist()
 
 
-def _alternative_text(scene: KneeScene) -> str:
-    """Alternative text of the interactive figure."""
-    forces = np.array([x.tensions for x in scene.trials])
-    knee, n = scene.knee, len(scene.trials)
-    said = [f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."]
-    if np.isfinite(forces).any():
-        trial, line = np.unravel_index(np.nanargmax(forces), forces.shape)
-        said.append(
-            f"The largest force is {forces[trial, line]:.0f} N, of {scene.names[line]} in "
-            f"{scene.trials[trial].name}."
-        )
-    lost = [x.name for x in scene.trials if x.outcome is not Outcome.CONVERGED]
-    if lost:
-        said.append(f"{len(lost)} without equilibrium, the first of them {lost[0]}.")
-    return " ".join(said)
-
-
 EXTENDED, FITTED = "extended", "fitted.toml"
 
 
@@ -397,13 +374,6 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
     """The knee as a diagnosis extended it, else as it was fitted, else as it was simulated.
 
     None where no result says in which trials it is loaded.
-
-    Parameters
-    ----------
-    findings
-        The results of one subject.
-    knee
-        That subject.
     """
     for result in findings.of("diagnose", "fit", "demo", "simulate"):
         protocol = result.protocol

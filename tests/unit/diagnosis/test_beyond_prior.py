@@ -16,7 +16,7 @@ from identknee.model.effects.readings import tibia_frame
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee, Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 STATED = Uncertainty(insertions_mm=0.5)
 SHIFT = np.array([0.0, -7.0, 0.0])

@@ -14,7 +14,7 @@ from identknee.model.effects.readings import remounting, tibia_frame
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Uncertainty
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 SIZE = 0.5
 

@@ -28,11 +28,11 @@ from identknee.diagnosis.verdict import (
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import effect_named
-from identknee.report.answers.diagnose import diagnosis_statements
+from identknee.report.presenter import statements_of
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
-from identknee.verbs.diagnose import diagnosis_of
+from identknee.verbs.diagnosis import diagnosis_of
 
 OTHERS = ("shank_gravity", "compression")
 
@@ -206,7 +206,7 @@ def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.Monke
     reason = "could not be tested"
     assert all(cause_label(FRAME) in str(x.reason) and reason in str(x.reason) for x in entries)
     assert any(cause_label(FRAME) in x and reason in x for x in answer.reasons)
-    first, *_ = diagnosis_statements(answer)
+    first, *_ = statements_of(answer)
     assert reason in first.sentence
 
 

@@ -15,7 +15,6 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.facts import MISSING_LINE
 from identknee.model.effects.structures import structure_at
-from identknee.report.answers.diagnose import diagnosis_statements
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
     diagnosis_figures,
@@ -27,12 +26,13 @@ from identknee.report.diagnosis_figures import (
     residuals_figure,
 )
 from identknee.report.figures import png
+from identknee.report.presenter import statements_of
 from identknee.runs.array_groups import groups_of
 from identknee.runs.schema import summary_of
 from identknee.subject.insertion_sites import name_of_place
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnose import diagnosis_of, untestable
+from identknee.verbs.diagnosis import diagnosis_of, untestable
 
 EFFECTS = (None, FRAME)
 
@@ -56,7 +56,7 @@ def test_a_gain_counts_from_two_standard_errors_on() -> None:
         (1.9, "The cause does not clearly improve"),
     ):
         unsure = replace(answer, gain=replace(gain, elpd_se=gain.elpd_difference / errors))
-        sentences = " ".join(x.sentence for x in diagnosis_statements(unsure))
+        sentences = " ".join(x.sentence for x in statements_of(unsure))
         assert said in sentences
         assert ("With one flexion angle left out at a time" in sentences) is (errors < 2.0)
 
@@ -137,7 +137,7 @@ def test_an_unexplained_misfit_changes_no_parameter() -> None:
     answer = diagnosis_of(unexplained)
     assert answer.causes == ()
     assert answer.parameters_after == answer.parameters_before
-    said = " ".join(x.sentence for x in diagnosis_statements(answer))
+    said = " ".join(x.sentence for x in statements_of(answer))
     assert "added cause" in said
 
 
@@ -189,7 +189,7 @@ def test_a_line_of_force_is_a_cause_that_the_library_lacks(reference: Knee) -> N
     for figure in diagnosis_figures(answer, reference).values():
         assert png(figure).startswith(b"\x89PNG")
     assert [x.label for x in answer.explanations][:2] == ["none", MISSING_LINE]
-    first, *_ = diagnosis_statements(answer)
+    first, *_ = statements_of(answer)
     assert answer.line.sentence in first.sentence
     (effect,) = [x for x in answer.extended_knee(reference).effects if x.name == MISSING_LINE]
     np.testing.assert_array_equal(effect.lines[0][0], reference.ligament("MCL").femur)

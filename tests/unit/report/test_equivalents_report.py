@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from identknee.report.equivalents_figures import ranges_figure, sets_figure
 from identknee.report.figures import png
+from identknee.report.parameter_figures import ranges_figure, sets_figure
 
 
 def test_figures_are_drawn() -> None:

@@ -16,10 +16,10 @@ from figure_checks import (
 )
 from matplotlib.figure import Figure
 
-from identknee.report.drawing import Drawing
 from identknee.report.page.page import report_drawings
 from identknee.report.page.results import found_results
 from identknee.report.page.svg import inline_svg
+from identknee.report.presenter import Drawing
 
 RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 VERBS = sorted(x.name for x in RESULTS.iterdir() if x.name != "check")

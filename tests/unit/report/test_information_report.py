@@ -5,7 +5,7 @@ import pytest
 from problems import sloppy_springs
 
 from identknee.identify.information import Information, information
-from identknee.report.information_figures import (
+from identknee.report.parameter_figures import (
     eigenvectors_figure,
     spectrum_figure,
 )

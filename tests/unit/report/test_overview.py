@@ -25,10 +25,10 @@ from identknee.report.overview import (
     searches_sentences,
 )
 from identknee.report.page.results import by_subject, found_results
-from identknee.report.range import Range, Source
+from identknee.report.presenter import Range, Source
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnose import untestable
+from identknee.verbs.diagnosis import untestable
 from identknee.verbs.files import load
 from identknee.verbs.fit import Calibration, fit
 from identknee.verbs.profile import Profiles

@@ -26,7 +26,7 @@ from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
-from identknee.verbs.diagnose import untestable
+from identknee.verbs.diagnosis import untestable
 from identknee.verbs.fit import Calibration
 
 EVIL = '<script>alert(1)</script> & "knee"'
@@ -161,7 +161,7 @@ def test_what_was_not_done_is_offered_with_its_command(page: str) -> None:
     assert "identknee design" in page
     assert "identknee profile" not in page
     # A shell sees the name of the subject as one word.
-    assert "identknee sweep &#x27;&lt;script&gt;alert(1)&lt;/script&gt; &amp; " in page
+    assert "identknee sweep &#39;&lt;script&gt;alert(1)&lt;/script&gt; &amp; " in page
 
 
 def test_the_answer_is_a_verdict_and_a_table(page: str) -> None:

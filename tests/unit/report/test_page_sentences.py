@@ -10,13 +10,10 @@ from report_folders import straight_profiles, write_given
 
 from identknee.diagnosis.candidates import Detectability
 from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
-from identknee.report.answers.fit import fit_statements
-from identknee.report.answers.isolability import isolability_statements
 from identknee.report.answers.profile import parameter_statements
-from identknee.report.page.page import report_html
+from identknee.report.page.page import report_html, warnings
 from identknee.report.page.results import found_results
-from identknee.report.page.subject_part import warnings
-from identknee.report.statement import Question
+from identknee.report.presenter import Question, statements_of
 from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit
@@ -154,7 +151,7 @@ def test_a_start_that_failed_is_not_called_a_fit() -> None:
     lax = replace(knee, ligaments=tuple(replace(x, stiffness_kN=0.0) for x in knee.ligaments))
     answer = fit(lax, laxity)
     assert slack.keys() <= set(answer.parameter_names)
-    (said,) = fit_statements(answer)
+    (said,) = statements_of(answer)
     assert "no prediction" in said.sentence
 
 
@@ -180,6 +177,6 @@ def test_a_plan_says_what_it_could_not_tell_apart(golden: Golden) -> None:
         root_noncentrality=8.0,
         least_distance=5.0,
     )
-    plan, advice = isolability_statements(answer)
+    plan, advice = statements_of(answer)
     golden("said/plan", f"{plan.sentence}\n{advice.sentence}")
     assert plan.tables[0].texts()[0] == ["a", "not detectable", "0.2 kN", "b"]

@@ -1,6 +1,6 @@
 """Warnings of several results, each shown once."""
 
-from identknee.report.page.subject_part import merge_duplicate_warnings
+from identknee.report.page.page import merge_duplicate_warnings
 from identknee.runs.findings import Finding, finding
 
 

@@ -8,7 +8,7 @@ from identknee.calibrate.problem import with_bounds
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.report.figures import png
-from identknee.report.profile_figures import (
+from identknee.report.parameter_figures import (
     LEVELS,
     intervals_figure,
     nested,

@@ -7,7 +7,7 @@ from problems import Linear, plain_parameters
 
 from identknee.identify.posterior.posterior import Posterior, StopRule
 from identknee.identify.posterior.sample import sample
-from identknee.report.sample_figures import (
+from identknee.report.parameter_figures import (
     corner_figure,
     forces_figure,
     prior_posterior_figure,

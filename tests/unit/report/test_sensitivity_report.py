@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from identknee.model.parameters import ligament_parameters
-from identknee.report.sensitivity_figures import (
+from identknee.report.parameter_figures import (
     effects_figure,
     map_figure,
 )

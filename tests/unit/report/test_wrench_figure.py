@@ -9,9 +9,10 @@ from figure_checks import drawn
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
+from identknee.diagnosis.misfit import LEVEL
 from identknee.diagnosis.missing_line import missing_wrench
 from identknee.diagnosis.verdict import Verdict
-from identknee.report.wrench_figure import LEVEL, SHOWN, wrench_figure
+from identknee.report.diagnosis_figures import SHOWN, wrench_figure
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import load

@@ -12,7 +12,7 @@ import pytest
 
 import identknee as ik
 from identknee.runs.errors import InputError
-from identknee.verbs import diagnose
+from identknee.verbs import diagnosis
 from identknee.verbs import subject as subject_facts
 from identknee.verbs import verb as scaffold
 from identknee.verbs.answer import Answer
@@ -27,7 +27,7 @@ def function_of(verb: str) -> Callable[..., Answer]:
     """The function of the library that leaves results of this verb."""
     known = verb_named(verb)
     assert known is not None
-    places = (import_module(known.module), diagnose, subject_facts)
+    places = (import_module(known.module), diagnosis, subject_facts)
     for x in (y for place in places for name in dir(place) if callable(y := getattr(place, name))):
         inner = getattr(x, "__wrapped__", None)
         if inner and getattr(inner, scaffold.RECORDED, (inner.__name__,))[0] == verb:

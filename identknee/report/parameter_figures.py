@@ -1,0 +1,675 @@
+"""Figures of parameters: profiles, posterior, information, equivalent sets and sensitivity."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import scipy.interpolate
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
+from scipy.stats import gaussian_kde
+
+from identknee.identify.information import Information
+from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
+from identknee.report.figures import (
+    BLACK,
+    COLOURS,
+    GREY,
+    MARKERS,
+    SMALL,
+    STYLES,
+    bare,
+    legend_below,
+)
+from identknee.runs import words
+from identknee.runs.arrays import Array
+from identknee.runs.words import label_without_unit
+
+# Nested sets beside the profile's own.
+LEVELS = (0.5, 0.8, 0.9)
+COLUMNS = 4
+PER_SEGMENT = 12
+HEADROOM = 1.35
+THICKNESSES = (9.0, 6.0, 3.5, 1.5)
+
+
+def profiles_figure(profiles: Sequence[Profile]) -> Figure:
+    """The rise of the deviance of each quantity, with its points, threshold and confidence set.
+
+    A panel each. The shaded stretch is the confidence set; where it is open it ends in an
+    arrow. Further local optima have other markers.
+
+    Parameters
+    ----------
+    profiles
+        Profiles of any quantities.
+    """
+    figure, panels = _panels(len(profiles), (2.5, 2.3), (0.5, 0.0))
+    for axes, profile in zip(panels, profiles, strict=False):
+        top = HEADROOM * profile.threshold
+        for branch in np.unique(profile.branches):
+            here = profile.branches == branch
+            marker, colour = MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)]
+            rows = np.column_stack([profile.values, profile.deltas, profile.slopes])[here]
+            places, heights = [rows[:1, 0]], [rows[:1, 1]]
+            for left, right in pairwise([(float(a), float(b), float(c)) for a, b, c in rows]):
+                between = np.linspace(left[0], right[0], PER_SEGMENT + 1)[1:]
+                places.append(between)
+                heights.append(np.array([cubic(x, left, right) for x in between]))
+            axes.plot(
+                *(np.concatenate(places), np.concatenate(heights)), color=colour, linewidth=1.2
+            )
+            axes.plot(
+                profile.values[here], profile.deltas[here], marker, color=colour, markersize=3.5
+            )
+        axes.axhline(profile.threshold, color=GREY, linestyle="--", linewidth=0.9)
+        for interval in profile.intervals:
+            low, high = _drawn(interval, profile)
+            axes.axvspan(low, high, color=COLOURS[5], alpha=0.18, linewidth=0)
+            for end, place, turn in ((interval[0], low, -1), (interval[1], high, 1)):
+                if end is None:
+                    axes.annotate(
+                        "open",
+                        (place, 0.55 * profile.threshold),
+                        fontsize=7,
+                        ha="left" if turn < 0 else "right",
+                    )
+        axes.set_ylim(-0.05 * top, top)
+        verdict = profile.verdict.value.replace("_", " ")
+        words = label_without_unit(profile.name)
+        label = f"{words} [{profile.unit}]" if profile.unit else words
+        axes.set_title(f"{label}\n{verdict}".replace(" in ", "\nin "), fontsize=8)
+        bare(axes)
+        axes.tick_params(labelsize=7)
+    for axes in panels[::COLUMNS]:
+        axes.set_ylabel("rise of deviance")
+    return figure
+
+
+def intervals_figure(
+    profiles: Sequence[Profile], truth: Mapping[str, float] | None = None
+) -> Figure:
+    """Nested sets of confidence as bars, one row a quantity, thinner for higher levels.
+
+    Quantities of one unit share an axis in that unit, so that the longer bar is the less known
+    value. An open end is an arrow at the place reached, or a cross where only the model ends.
+
+    Parameters
+    ----------
+    profiles
+        Profiles of any quantities.
+    truth
+        True values by name, where they are known.
+    """
+    units = list(dict.fromkeys(x.unit for x in profiles))
+    groups = [[x for x in profiles if x.unit == unit] for unit in units]
+    size = (8.2, 0.5 + 0.75 * len(groups) + 0.3 * len(profiles))
+    figure = Figure(figsize=size, layout="constrained")
+    heights = [len(x) + 0.6 for x in groups]
+    grid = figure.subplots(len(groups), squeeze=False, height_ratios=heights)[:, 0]
+    for axes, unit, group in zip(grid, units, groups, strict=True):
+        for row, profile in enumerate(group):
+            for thickness, (level, intervals) in zip(
+                THICKNESSES, nested(profile).items(), strict=False
+            ):
+                for interval in intervals:
+                    axes.plot(
+                        _drawn(interval, profile),
+                        [row, row],
+                        color=COLOURS[0],
+                        alpha=0.75,
+                        linewidth=thickness,
+                        solid_capstyle="butt",
+                        label=f"{100 * level:g} %",
+                    )
+            for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
+                if side.end is None:
+                    is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
+                    word = "the model ends" if is_model else "open"
+                    shape = "X" if is_model else marker
+                    axes.plot(
+                        side.reached,
+                        row,
+                        shape,
+                        color=COLOURS[1],
+                        markersize=6,
+                        label=word,
+                        zorder=4,
+                    )
+            axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
+            verdict = profile.verdict.value.replace("_", " ")
+            axes.annotate(
+                f"{profile.optimum_value:.3g} {profile.unit}, {verdict}",
+                (1.01, row),
+                xycoords=("axes fraction", "data"),
+                va="center",
+                fontsize=8,
+            )
+            true = (truth or {}).get(profile.name)
+            if true is not None:
+                axes.plot(true, row, "x", color=COLOURS[1], markersize=6, label="truth", zorder=4)
+        axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
+        axes.set_ylim(len(group) - 0.5, -0.5)
+        axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
+        axes.grid(axis="x", color="0.92")
+        axes.set_axisbelow(True)
+        bare(axes)
+        axes.tick_params(labelsize=8)
+    handles, labels = grid[0].get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
+    figure.legend(
+        named.values(), list(named), loc="outside upper center", ncols=6, frameon=False, fontsize=8
+    )
+    return figure
+
+
+def smooth_edge(edge: Array) -> Array:
+    """Many points on a closed smooth curve through the edge of a set, shape ``(k, 2)``.
+
+    An edge with gaps, where NaN stands, is given back as it is, closed.
+    """
+    closed = np.vstack([edge, edge[:1]])
+    if not np.isfinite(edge).all():
+        return closed
+    steps = np.arange(len(closed))
+    curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
+    return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
+
+
+def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
+    """Sets of values not excluded by level, from low levels to the profile's own."""
+    levels = [x for x in LEVELS if x < profile.level]
+    return {level: profile.intervals_at(level) for level in (*levels, profile.level)}
+
+
+def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
+    """The interval with the places reached for its open ends."""
+    low, high = interval
+    return (
+        profile.lower_side.reached if low is None else low,
+        profile.upper_side.reached if high is None else high,
+    )
+
+
+def _panels(
+    n: int, size: tuple[float, float], around: tuple[float, float]
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `n` panels in rows, of so many inches each and so many more in all."""
+    columns = min(n, COLUMNS)
+    rows = -(-n // columns)
+    whole = (around[0] + size[0] * columns, around[1] + size[1] * rows)
+    figure = Figure(figsize=whole, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for unused in panels[n:]:
+        unused.set_visible(False)
+    return figure, panels[:n]
+
+
+BINS = 20
+GRID = 200
+# Shares of the draws inside the contours of a pair.
+SHARES = (0.5, 0.95)
+
+
+def prior_posterior_figure(
+    names: Sequence[str],
+    prior: Array,
+    posteriors: "dict[str, Array]",
+    *,
+    truth: ArrayLike | None = None,
+) -> Figure:
+    """Density of each parameter before and after the data.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    prior
+        Draws of the prior, shape ``(k, n)``.
+    posteriors
+        Draws of one or more posteriors by name, shape ``(k, n)`` each.
+    truth
+        Known theta, shape ``(n,)``.
+    """
+    figure, panels = _panels(len(names), (2.2, 2.2), (0.6, 0.6))
+    for i, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        grid = np.linspace(*_range(prior[:, i], *(x[:, i] for x in posteriors.values())), GRID)
+        before = gaussian_kde(prior[:, i])(grid)
+        axes.fill_between(grid, before, color="0.85", linewidth=0, label="prior")
+        for k, (label, draws) in enumerate(posteriors.items()):
+            after = gaussian_kde(draws[:, i])(grid)
+            axes.plot(grid, after, STYLES[k], color=COLOURS[k], linewidth=1.6, label=label)
+        if truth is not None:
+            axes.axvline(
+                float(np.asarray(truth)[i]), color=BLACK, linewidth=1.0, label="true value"
+            )
+        axes.set_xlabel(_label(name), fontsize=SMALL)
+        axes.set_yticks([])
+        axes.set_ylim(bottom=0.0)
+        axes.tick_params(labelsize=SMALL)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+    _shared_legend(figure, panels[0])
+    return figure
+
+
+def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None = None) -> Figure:
+    """Every pair of parameters with regions of 50 and 95 % of the draws, each on the diagonal.
+
+    Parameters
+    ----------
+    names
+        Parameters.
+    draws
+        Draws as good as independent, shape ``(k, n)``.
+    truth
+        Known theta, shape ``(n,)``.
+    """
+    n = len(names)
+    known = None if truth is None else np.asarray(truth, float)
+    figure = Figure(figsize=(1.0 + 1.06 * n, 1.0 + 0.96 * n), layout="constrained")
+    grid = figure.subplots(n, n, squeeze=False, sharex="col")
+    for row in range(n):
+        for column in range(n):
+            axes = grid[row, column]
+            if column > row:
+                axes.set_visible(False)
+                continue
+            if column == row:
+                axes.hist(draws[:, row], BINS, color=COLOURS[0], alpha=0.5)
+                axes.set_yticks([])
+            else:
+                across = draws[:, column]
+                up = draws[:, row]
+                points = np.vstack([across, up])
+                estimate = gaussian_kde(points)
+                levels = np.quantile(
+                    estimate(points), [1.0 - share for share in sorted(SHARES, reverse=True)]
+                )
+                x, y = np.linspace(*_range(across), 50), np.linspace(*_range(up), 50)
+                density = estimate(np.array(np.meshgrid(x, y)).reshape(2, -1)).reshape(50, 50)
+                axes.plot(across, up, ".", color=GREY, markersize=1.0, alpha=0.5)
+                axes.contour(x, y, density, levels=levels, colors=COLOURS[0], linewidths=0.9)
+            if known is not None:
+                axes.axvline(known[column], color=BLACK, linewidth=0.8)
+                if column < row:
+                    axes.axhline(known[row], color=BLACK, linewidth=0.8)
+            axes.tick_params(labelsize=6)
+            if row == n - 1:
+                axes.set_xlabel(_stacked(names[column]), fontsize=7)
+            if column == 0 and row > 0:
+                axes.set_ylabel(_stacked(names[row]), fontsize=7)
+            elif column < row:
+                axes.set_yticklabels([])
+    return figure
+
+
+def forces_figure(
+    trials: Sequence[str], ligaments: Sequence[str], quantiles: Array, *, truth: Array | None = None
+) -> Figure:
+    """How far each tension may be from its median: half and 95 % of the posterior, by trial.
+
+    Parameters
+    ----------
+    trials
+        Names.
+    ligaments
+        Names.
+    quantiles
+        Tension [N] at 2.5, 25, 50, 75 and 97.5 %, shape ``(trials, ligaments, 5)``. The medians
+        stand beside their bars.
+    truth
+        Known tension [N], shape ``(trials, ligaments)``.
+    """
+    n = len(ligaments)
+    figure = Figure(figsize=(1.6 + 2.3 * n, 1.4 + 0.28 * len(trials)), layout="constrained")
+    panels = figure.subplots(1, n, squeeze=False, sharey=True, sharex=True)[0]
+    rows = np.arange(len(trials))
+    for j, axes in enumerate(panels):
+        middle = quantiles[:, j, 2]
+        low, first, _, third, high = (quantiles[:, j] - middle[:, None]).T
+        axes.hlines(rows, low, high, color=COLOURS[0], linewidth=1.2, label="95 %")
+        axes.hlines(rows, first, third, color=COLOURS[0], linewidth=4.5, label="50 %")
+        if truth is not None:
+            known = truth[:, j] - middle
+            axes.plot(known, rows, "x", color=BLACK, markersize=5, label="true value")
+        for row, median in zip(rows, middle, strict=True):
+            axes.annotate(
+                f"{median:.0f} N",
+                (1.0, row),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="center",
+                fontsize=7,
+                color=GREY,
+            )
+        axes.set_title(ligaments[j], fontsize=10)
+        axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
+        axes.tick_params(labelsize=SMALL)
+        axes.grid(axis="y", color="0.93")
+        axes.set_axisbelow(True)
+        bare(axes)
+    largest = float(np.max(np.abs(quantiles - quantiles[..., 2:3])))
+    # Room for the medians on the right.
+    panels[0].set_xlim(-1.1 * largest, 1.8 * largest)
+    panels[0].set_ylim(len(trials) - 0.4, -0.6)
+    panels[0].set_yticks(rows, trials)
+    _shared_legend(figure, panels[0])
+    return figure
+
+
+def _range(*samples: Array) -> tuple[float, float]:
+    low = min(float(np.quantile(x, 0.001)) for x in samples)
+    high = max(float(np.quantile(x, 0.999)) for x in samples)
+    margin = 0.04 * (high - low)
+    return low - margin, high + margin
+
+
+def _shared_legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=9
+    )
+
+
+def _label(name: str) -> str:
+    """A parameter's name with its unit in brackets."""
+    words, _, unit = name.rpartition("_")
+    units = {"kN": "kN", "pct": "%"}
+    return f"{words.replace('.', ' ').replace('_', ' ')} [{units[unit]}]" if unit in units else name
+
+
+def _stacked(name: str) -> str:
+    """The same on two lines."""
+    owner, _, rest = _label(name).partition(" ")
+    return f"{owner}\n{rest}"
+
+
+def spectrum_figure(found: Mapping[str, Information]) -> Figure:
+    """Eigenvalues of the information from stiff to sloppy, each above its noise floor.
+
+    Parameters
+    ----------
+    found
+        Informations in the same units by name.
+    """
+    figure = Figure(figsize=(1.6 + 2.0 * len(found), 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for k, (name, each) in enumerate(found.items()):
+        x = k + np.linspace(-0.3, 0.3, each.theta.size)
+        axes.plot(x, each.eigenvalues, MARKERS[k], color=COLOURS[k], label=name)
+        axes.plot(x, each.floors, "_", color=GREY, markersize=9)
+        for place, value, floor in zip(x, each.eigenvalues, each.floors, strict=True):
+            axes.plot([place, place], [floor, value], color="0.88", linewidth=1.0, zorder=0)
+        sizes = f"{each.n_above_noise} of {each.theta.size} above noise\ncondition number"
+        axes.annotate(
+            f"{sizes} {each.condition:.3g}",
+            (k, float(each.eigenvalues[0])),
+            xytext=(0, 8),
+            textcoords="offset points",
+            ha="center",
+            fontsize=SMALL,
+        )
+    axes.plot([], [], "_", color=GREY, markersize=9, label="noise floor")
+    axes.set_yscale("log")
+    axes.margins(y=0.12)
+    axes.set_xticks(range(len(found)), list(found))
+    axes.set_xlim(-0.6, len(found) - 0.4)
+    scaling = next(iter(found.values())).scaling
+    unit = {"typical": "typical step", "prior": "prior sd"}[scaling]
+    axes.set_ylabel(f"eigenvalue of the information [per squared {unit}]")
+    axes.grid(axis="y", color="0.92")
+    axes.set_axisbelow(True)
+    bare(axes)
+    return figure
+
+
+def eigenvectors_figure(found: Information) -> Figure:
+    """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
+    n = found.theta.size
+    figure = Figure(figsize=(2.6 + 0.62 * n, 1.6 + 0.42 * n), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
+    for i in range(n):
+        for j in range(n):
+            share = found.eigenvectors[i, j]
+            if abs(share) >= 0.1:
+                axes.text(
+                    j,
+                    i,
+                    f"{share:+.2f}".replace("0.", "."),
+                    ha="center",
+                    va="center",
+                    fontsize=SMALL,
+                    color="white" if abs(share) > 0.7 else "black",
+                )
+    axes.set_yticks(range(n), [label_without_unit(x) for x in found.parameter_names])
+    axes.set_xticks(
+        range(n),
+        [
+            (f"{value:.0f}" if 10.0 <= value < 1e5 else f"{value:.2g}")
+            for value in found.eigenvalues
+        ],
+    )
+    axes.set_xlabel("eigenvalue, stiff to sloppy")
+    figure.colorbar(image, ax=axes, label="share of one scaled unit")
+    return figure
+
+
+SET_COLOURS = "cividis"
+
+
+def sets_figure(
+    parameters: Sequence[str],
+    sets: Array,
+    fit: Array,
+    laxity: Mapping[str, Array],
+    *,
+    origin: str = "the fit",
+) -> Figure:
+    """Parameter sets as lines over their axes, and below how little their laxity differs.
+
+    Parameters
+    ----------
+    parameters
+        Their names.
+    sets
+        Shape ``(n_sets, n)``. The two first, the farthest apart, are drawn bold.
+    fit
+        Shape ``(n,)``.
+    laxity
+        By name with unit, a coordinate's difference from the fit in every trial, shape
+        ``(n, n_trials)``: of the same sets, or of these two and the band of all.
+    origin
+        What the laxity is compared with, where it is not the fit's.
+    """
+    figure = Figure(figsize=(8.6, 6.4), layout="constrained")
+    grid = figure.add_gridspec(2, len(laxity), height_ratios=(1.25, 1.0))
+    _parallel(figure.add_subplot(grid[0, :]), parameters, sets, fit)
+    panels = [figure.add_subplot(grid[1, k]) for k in range(len(laxity))]
+    for axes, (name, values) in zip(panels, laxity.items(), strict=True):
+        trials = np.arange(1, values.shape[1] + 1)
+        low, high = values.min(axis=0), values.max(axis=0)
+        axes.fill_between(
+            trials, low, high, step="mid", color=COLOURS[5], alpha=0.5, linewidth=0, label="all"
+        )
+        for k, values_of_set in enumerate(values[:2]):
+            axes.plot(trials, values_of_set, color=COLOURS[k], linewidth=1.0)
+        axes.axhline(0.0, color=BLACK, linewidth=0.8)
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        axes.set_xlabel("trial")
+        axes.set_title(f"{name}\nminus {origin}", fontsize=SMALL + 1)
+        bare(axes)
+    handles = [
+        Line2D([], [], color=COLOURS[0], linewidth=2, label="one of the two sets farthest apart"),
+        Line2D([], [], color=COLOURS[1], linewidth=2, label="the other"),
+        Line2D([], [], color=BLACK, marker="o", label="fit"),
+        Line2D([], [], color=COLOURS[5], alpha=0.5, linewidth=6, label="all sets"),
+    ]
+    legend_below(figure, handles, columns=4)
+    return figure
+
+
+def ranges_figure(
+    names: Sequence[str], at_fit: Array, ranges: Mapping[str, Array], *, unit: str
+) -> Figure:
+    """Smallest and largest value of quantities over regions, a bar each.
+
+    Parameters
+    ----------
+    names
+        Names of the quantities.
+    at_fit
+        Their values at the fit, shape ``(n,)``.
+    ranges
+        By name of the region, smallest and largest value, shape ``(n, 2)``.
+    unit
+        Unit of the quantities.
+    """
+    n = len(names)
+    figure = Figure(figsize=(7.6, 1.4 + n * (0.16 + 0.13 * len(ranges))), layout="constrained")
+    axes = figure.subplots()
+    rows = np.arange(n)
+    thickness = 0.8 / len(ranges)
+    for k, (name, values) in enumerate(ranges.items()):
+        y = rows - 0.4 + (k + 0.5) * thickness
+        widths = values[:, 1] - values[:, 0]
+        # Bars would pin the axis to their ends, and hide a mark that stands there.
+        axes.use_sticky_edges = False
+        axes.barh(y, widths, 0.86 * thickness, values[:, 0], color=COLOURS[k], label=name)
+    for row, value in zip(rows, at_fit, strict=True):
+        axes.plot([value, value], [row - 0.42, row + 0.42], color=BLACK, linewidth=1.4)
+    axes.set_yticks(rows, list(names), fontsize=SMALL)
+    axes.set_ylim(n - 0.4, -0.6)
+    axes.grid(axis="x", color="0.92")
+    axes.set_axisbelow(True)
+    axes.set_xlabel(unit)
+    handles, _ = axes.get_legend_handles_labels()
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label="fit"))
+    legend_below(figure, handles, columns=4)
+    bare(axes)
+    return figure
+
+
+def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) -> None:
+    """Each parameter scaled from its smallest to its largest value among the sets."""
+    low, high = sets.min(axis=0), sets.max(axis=0)
+    width = np.where(high > low, high - low, 1.0)
+    places = np.arange(len(parameters))
+    shades = colormaps[SET_COLOURS](np.linspace(0.15, 0.9, len(sets)))
+    # Ordered by the first parameter, so that its axis reads as a colour scale.
+    ranks = np.argsort(np.argsort(sets[:, 0]))
+    for rank, theta in zip(ranks[2:], sets[2:], strict=True):
+        axes.plot(places, (theta - low) / width, color=shades[rank], linewidth=0.6, alpha=0.6)
+    for k, theta in enumerate(sets[:2]):
+        axes.plot(places, (theta - low) / width, color=COLOURS[k], linewidth=2.2)
+    axes.plot(places, (fit - low) / width, color=BLACK, marker="o", markersize=4)
+    for place, smallest, largest in zip(places.tolist(), low, high, strict=True):
+        axes.axvline(place, color=GREY, linewidth=0.6, zorder=0)
+        axes.text(place, -0.04, f"{smallest:.3g}", ha="center", va="top", fontsize=SMALL)
+        axes.text(place, 1.03, f"{largest:.3g}", ha="center", va="bottom", fontsize=SMALL)
+    axes.set_xticks(places, [_on_lines(name) for name in parameters], fontsize=SMALL)
+    axes.tick_params(axis="x", pad=14, length=0)
+    axes.set_yticks([])
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_xlim(-0.4, len(parameters) - 0.6)
+    axes.spines[["top", "right", "bottom", "left"]].set_visible(False)
+
+
+def _on_lines(name: str) -> str:
+    owner, _, quantity = name.rpartition(".")
+    words, _, unit = quantity.rpartition("_")
+    return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
+
+
+# From nothing to everything: dark means much, and grey prints tell the same.
+MAP = "viridis_r"
+MAPS_ACROSS = 2
+
+
+def effects_figure(
+    panels: Mapping[str, tuple[Array, Array, Array]], parameters: Sequence[str]
+) -> Figure:
+    """Spread of elementary effects against their mean size, a panel a group of outputs.
+
+    Parameters
+    ----------
+    panels
+        By name of the group, mean absolute effect, the half-width of its confidence interval and
+        the standard deviation of the effects, in the unit of the outputs, shape ``(p,)`` each.
+    parameters
+        Their names.
+    """
+    n = len(panels)
+    rows = -(-n // MAPS_ACROSS)
+    figure = Figure(figsize=(9.0, 0.6 + 3.2 * rows), layout="constrained")
+    grid = list(figure.subplots(rows, MAPS_ACROSS, squeeze=False).ravel())
+    for axes in grid[n:]:
+        axes.set_axis_off()
+    figure, grid = (figure, grid)
+    for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=False):
+        # One trajectory has no spread and no interval.
+        far = np.concatenate([size + np.nan_to_num(half_width), spread])
+        top = 1.12 * float(far[np.isfinite(far)].max(initial=1e-12))
+        axes.plot([0, top], [0, top], color=GREY, linewidth=0.8, linestyle=":")
+        for i, parameter in enumerate(parameters):
+            axes.errorbar(
+                size[i],
+                spread[i],
+                xerr=half_width[i],
+                fmt=MARKERS[i % len(MARKERS)],
+                color=COLOURS[i % len(COLOURS)],
+                fillstyle="full" if i < len(COLOURS) else "none",
+                capsize=2,
+                label=words.label(parameter),
+            )
+        axes.set_xlim(0, top)
+        axes.set_ylim(0, top)
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel("mean absolute effect, mu*")
+        axes.set_ylabel("sd of effects, sigma")
+        bare(axes)
+    legend_below(figure, *grid[0].get_legend_handles_labels(), columns=4, fontsize=SMALL)
+    return figure
+
+
+def map_figure(
+    tables: Mapping[str, tuple[Sequence[str], Array]], parameters: Sequence[str], label: str
+) -> Figure:
+    """An index of every group of outputs to every parameter, a panel a coordinate.
+
+    Parameters
+    ----------
+    tables
+        By name of the coordinate, names of its rows and the index, shape ``(n_rows, p)``; NaN
+        stays white.
+    parameters
+        Their names.
+    label
+        Name of the index.
+    """
+    rows = max(len(names) for names, _ in tables.values())
+    figure = Figure(figsize=(1.8 + 2.1 * len(tables), 1.6 + 0.24 * rows), layout="constrained")
+    grid = figure.subplots(1, len(tables), squeeze=False)[0]
+    top = max(1.0, float(np.nanmax([np.nanmax(values) for _, values in tables.values()])))
+    for column, (axes, (name, (names, values))) in enumerate(
+        zip(grid, tables.items(), strict=True)
+    ):
+        image = axes.imshow(values, aspect="auto", cmap=MAP, vmin=0.0, vmax=top)
+        axes.set_xticks(
+            range(len(parameters)), [_short(x) for x in parameters], rotation=90, fontsize=SMALL
+        )
+        axes.set_yticks(range(len(names)), list(names) if column == 0 else [], fontsize=SMALL)
+        axes.set_title(name, fontsize=9)
+    figure.colorbar(image, ax=list(grid), label=label, shrink=0.8)
+    return figure
+
+
+def _short(parameter: str) -> str:
+    """Owner and kind of a parameter: ``ACL stiffness`` for ``ACL.stiffness_kN``."""
+    owner, _, kind = parameter.rpartition(".")
+    letters = {"stiffness_kN": "stiffness", "reference_strain_pct": "strain"}
+    return f"{owner} {letters.get(kind, kind)}"
