@@ -394,7 +394,10 @@ def _finding(
         knee.tibia_frame.to_common(lines.tibial[-1]),
     ]
     ends_covariance = turn @ covariance[-6:, -6:] @ turn.T
-    cloud = np.random.default_rng(seed).multivariate_normal(ends, ends_covariance, N_CLOUD)
+    # A direction that the data know to the last bit may have a variance just below zero.
+    cloud = np.random.default_rng(seed).multivariate_normal(
+        ends, ends_covariance, N_CLOUD, check_valid="ignore"
+    )
     trial, force, slope = _largest_force(model, model.predict_once(theta))
     margin = 1.96 * float(np.sqrt(slope @ covariance @ slope))
     return LineFinding(

@@ -196,6 +196,10 @@ class Sensitivity:
     box: Box | None = entry("Where they lie; null for given draws", group="box")
     seed: int = entry("Seed of the design and the resampling")
 
+    def __post_init__(self) -> None:
+        if self.method == "morris" and "mu_star" not in self.indices:
+            raise ValueError(f"a Morris analysis has the index mu_star, got {list(self.indices)}")
+
     @property
     @derived("What was done about simulations without a prediction", key="failures")
     def rule(self) -> str:
