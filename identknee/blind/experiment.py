@@ -84,7 +84,9 @@ class Experiment:
     femur_turn: Array = entry(
         "Rotation vector from the femoral frame to the one the rig assumes, in the femoral frame"
     )
-    tibia_turn: Array = entry("The same of the tibia")
+    tibia_turn: Array = entry(
+        "Rotation vector from the tibial frame to the one the rig assumes, in the tibial frame"
+    )
     added: Array = entry("What the rig reads too much [mm, deg], shape ``(n, 5)``")
 
     def with_theta(self, theta: Array) -> "Experiment":

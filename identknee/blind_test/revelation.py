@@ -55,10 +55,10 @@ class Revelation:
                 else:
                     key = (name[: -len(f"_x_{unit}")], unit)
                     lengths[key] = math.hypot(lengths.get(key, 0.0), value)
-            told = ", ".join(
+            errors = ", ".join(
                 [*(f"{name} {x:.2g} {unit}" for (name, unit), x in lengths.items()), *gains]
             )
-            yield f"What was given with the knee is wrong by: {told}."
+            yield f"What was given with the knee is wrong by: {errors}."
         if score.line_offset_mm is not None:
             yield (
                 f"The line found lies {score.line_offset_mm:.1f} mm and "

@@ -424,7 +424,7 @@ class Evaluator:
     budget
         Simulations allowed; one more raises `SearchEnded`. No limit if None.
     on_simulation
-        Told of every simulation, for a progress bar.
+        Called with 1 after every simulation, for a progress bar.
     ends
         Where other searches ended. One that is about to come to such a place, and has seen no lower
         deviance, is left: it raises `SearchEnded`.

@@ -787,7 +787,7 @@ class _Table:
         return float(np.nansum((differences / self.sd) ** 2))
 
     def square(self, theta: Array) -> float:
-        """The same of what is left of this table."""
+        """Sum of squares of what the model leaves of this table, in units of its noise."""
         return self.chi_square_of(self.differences(theta))
 
     def is_plausible(self, theta: Array) -> bool:

@@ -246,7 +246,7 @@ def _table(
     """Columns of the base parameters, of differences and of the rivals' causes, and the pairs.
 
     The difference between the predictions of the best explanation and of a rival is one column,
-    with amplitude 1, and is to be told from any change of the rival's amplitudes.
+    with amplitude 1, and is to be distinguished from any change of the rival's amplitudes.
     """
     n_base = best.n_base
     whole, slopes = offer.predict(best.fitted.model, best.fitted.theta)
@@ -338,11 +338,11 @@ class ProtocolIsolability:
         "How far the effects are from one another, each as far out of the noise as `ROOT`"
     )
     advice: tuple[GroupAdvice, ...] = entry(
-        "For each group of effects that cannot be told apart. Errors of the insertions are in no "
-        "group, since they imitate a little of everything"
+        "For each group of effects that cannot be distinguished. Errors of the insertions are in "
+        "no group, since they imitate a little of everything"
     )
     look_alikes: dict[str, tuple[str, ...]] = entry(
-        "The effects that each cannot be told from, the closest first"
+        "The effects that each cannot be distinguished from, the closest first"
     )
 
     @property

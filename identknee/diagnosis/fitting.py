@@ -312,7 +312,7 @@ def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: 
 
 # Share of the range of an amplitude: this close to an end it lies on it.
 AT_END = 1e-3
-# A rival this much less likely is excluded if it could be told apart; beyond the second number
+# A rival this much less likely is excluded if it could be distinguished; beyond the second number
 # whether it could or not.
 NEAR_EVIDENCE, FAR_EVIDENCE = 6.0, 10.0
 LEAST_DISTANCE = 5.0

@@ -107,7 +107,7 @@ def extreme_trials(protocol: Protocol) -> BoolArray:
 
 
 def _acting(protocol: Protocol) -> Array:
-    """The loads, shape ``(n, 5)``; of a robot's trials, which read all of them, those told."""
+    """The loads, shape ``(n, 5)``; of a robot's trials, which read all of them, the main ones."""
     is_nominal = np.array_equal(nominal_flexion(protocol), protocol.flexion_deg)
     return protocol.loads if is_nominal else nominal_loads(protocol)
 

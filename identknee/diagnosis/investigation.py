@@ -78,7 +78,7 @@ class Investigation:
     conclusion
         The verdict.
     advice
-        Trials to add; None where nothing is to be told apart.
+        Trials to add; None where nothing is to be distinguished.
     line
         The line of force that explains most where no known cause does; None elsewhere.
     seed

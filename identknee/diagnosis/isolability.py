@@ -13,7 +13,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import NuisancePosterior, schur_complement
 
-# Effects closer than this cannot be told apart: the winner's amplitude errs to the large side.
+# Effects closer than this cannot be distinguished: the winner's amplitude errs to the large side.
 LEAST_DISTANCE = 5.0
 # Trials are advised until the least distance is this, so that errors do not bring it below the one
 # above, or until there are so many.
@@ -118,7 +118,7 @@ def groups(found: Distances, *, least: float = LEAST_DISTANCE) -> tuple[tuple[st
     found
         Distances of all effects from one another, rows and columns alike.
     least
-        Two effects are told apart at this distance or more, whichever of them is true.
+        Two effects are distinguished at this distance or more, whichever of them is true.
 
     Raises
     ------

@@ -138,8 +138,9 @@ def build_noise_model(
         return _noise_model(covariance)
     except np.linalg.LinAlgError:
         raise ValueError(
-            f"the noise, {measured_sd.min():g} to {measured_sd.max():g}, cannot be told from zero "
-            "beside what the model does not know; state the noise of the measurement"
+            f"the noise, {measured_sd.min():g} to {measured_sd.max():g}, cannot be "
+            "distinguished from zero beside what the model does not know; state the noise of the "
+            "measurement"
         ) from None
 
 

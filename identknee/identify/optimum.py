@@ -109,7 +109,7 @@ def sobol_around(
 
 TOLERANCE = 1e-10
 MAX_ROUNDS = 50
-# Largest residual that cannot be told from rounding.
+# Largest residual that cannot be distinguished from rounding.
 SMALLEST_SD = 1e-9
 
 

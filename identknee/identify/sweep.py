@@ -57,7 +57,7 @@ class SweepSearches:
     An *end* is what the optimizer gave back, whatever it is. Its *kind* says what is there:
     ``minimum`` if exact derivatives put the minimum within 0.01 typical steps (0.03 kN, 0.02 %),
     ``cliff`` if 0.01 typical steps down the way on the prediction is lost or has jumped,
-    ``valley`` if the way down is open and the optimizer stopped all the same, ``start_failed`` if
+    ``valley`` if the way down is open and the optimizer stopped, ``start_failed`` if
     it saw no prediction at all. From the end least squares with exact derivatives goes on to the
     *polished* end.
     """
@@ -218,8 +218,8 @@ def sweep(
     executor
         Anything with an ordered ``map``.
     store
-        Where finished searches are kept, from `identknee.runs.store.open_work`, told of the
-        problem and of all that the starts follow from.
+        Where finished searches are kept, from `identknee.runs.store.open_work`, opened
+        with the problem and all that the starts follow from.
 
     Raises
     ------
@@ -664,8 +664,10 @@ class Radius:
         "starts recover less often, null where the farthest ones still recover as often",
         unit=DISTANCE,
     )
-    lower: float = entry("The same of the lower limits of the shares, 95 % each", unit=DISTANCE)
-    upper: float = entry("The same of their upper limits", unit=DISTANCE)
+    lower: float = entry(
+        "Where a curve through the lower 95 % limits of the shares crosses it", unit=DISTANCE
+    )
+    upper: float = entry("Where a curve through their upper limits does", unit=DISTANCE)
 
 
 @declared

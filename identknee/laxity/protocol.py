@@ -502,8 +502,8 @@ def nominal_loads(protocol: Protocol) -> Array:
     share = np.abs(_changes(protocol)) / TYPICAL
     alone = np.count_nonzero(share, axis=1, keepdims=True) == 1
     least = np.maximum(STRAY, STRAY_BESIDE * share.max(axis=1, keepdims=True))
-    told = np.where((share >= least) | (alone & (share > 0.0)), protocol.loads, 0.0)
-    return told if told.any() else protocol.loads
+    main_loads = np.where((share >= least) | (alone & (share > 0.0)), protocol.loads, 0.0)
+    return main_loads if main_loads.any() else protocol.loads
 
 
 def _changes(protocol: Protocol) -> Array:

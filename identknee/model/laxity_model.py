@@ -71,7 +71,7 @@ class ContactGeometry:
     contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")
     lines: LineLigaments = entry("The ligaments")
     femoral_rim: RimDistance = entry("How far places on the femoral surface are from its rim")
-    tibial_rims: tuple[RimDistance, ...] = entry("The same of each tibial surface")
+    tibial_rims: tuple[RimDistance, ...] = entry("Distance from the rim of each tibial surface")
     start_flexion: float = entry("Flexion of the scanned pose [rad]")
     start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
 
@@ -236,7 +236,7 @@ def tied(knee: Knee) -> ParameterGroups:
     strain = np.array([x.reference_strain_pct for x in knee.ligaments])
     alone = member.sum(axis=0) == 1.0
     total = stiffness @ member
-    # A ligament alone may have no stiffness, and has it whole all the same.
+    # A ligament alone has its whole stiffness, also where that is zero.
     weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
     mean = (weights * strain) @ member
     return ParameterGroups(

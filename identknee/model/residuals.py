@@ -456,7 +456,7 @@ def rms_blocks(
 def largest_loads(protocol: Protocol) -> IntArray:
     """Which trials have the largest load of their kind at their flexion angle, in their order.
 
-    Two loads are of a kind where the same of them push the same way.
+    Two loads are of a kind where the same components have the same signs.
 
     Examples
     --------

@@ -251,7 +251,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
 def isolability_figure(distances: Distances) -> Figure:
     """How far the data expected under each cause are from the best fit of each other one.
 
-    Rows are true, columns fitted in their place. Dark cells below 5 cannot be told apart.
+    Rows are true, columns fitted in their place. Dark cells below 5 cannot be distinguished.
     """
     names = distances.effects
     order = [distances.rivals.index(x) for x in names]

@@ -127,8 +127,8 @@ def _add(parent: ET.Element, name: str, kind: str, values: Array | IntArray, **m
     data = np.ascontiguousarray(values, TYPES[kind]).tobytes()
     block = zlib.compress(data)
     sizes = np.array([1, len(data), len(data), len(block)], "<u4").tobytes()
-    told = {"type": kind, "Name": name, "format": "binary", **more}
-    element = ET.SubElement(parent, "DataArray", told)
+    attributes = {"type": kind, "Name": name, "format": "binary", **more}
+    element = ET.SubElement(parent, "DataArray", attributes)
     element.text = (base64.b64encode(sizes) + base64.b64encode(block)).decode("ascii")
 
 

@@ -188,8 +188,8 @@ def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
     }
 
 
-# More fits than these are told as a range.
-MOST_TOLD = 4
+# More fits than these are given as a range.
+MOST_LISTED_FITS = 4
 MOST_SEARCHES_NAMED = 2
 ENDED = {
     Outcome.MINIMUM: "a minimum",
@@ -238,7 +238,7 @@ def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
     found = of_type(answers, Calibration)
     starts = Counter(x.start for x in found)
     names = [x.start if starts[x.start] == 1 else f"{x.start} ({_method(x)})" for x in found]
-    # Fits alike in both, as with other settings, are told apart by their number.
+    # Fits alike in both, as with other settings, are distinguished by their number.
     seen: Counter[str] = Counter()
     by_start = {}
     for name, fit in zip(names, found, strict=True):
@@ -252,15 +252,15 @@ def _each(fits: Iterable[Calibration]) -> Iterator[str]:
 
 
 def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
-    if told := _alike(fits):
-        yield told
-    elif len(fits) <= MOST_TOLD:
-        told = "; ".join(
+    if alike := _alike(fits):
+        yield alike
+    elif len(fits) <= MOST_LISTED_FITS:
+        each_fit = "; ".join(
             f"from {name} by {_method(x)} to {_errors(x)} "
             f"({_end(x)}, {x.n_simulations} simulations)"
             for name, x in fits.items()
         )
-        yield f"{len(fits)} fits reproduce the measured laxity (RMSE): {told}."
+        yield f"{len(fits)} fits reproduce the measured laxity (RMSE): {each_fit}."
     else:
         best, worst = (f(fits.values(), key=lambda x: x.objective) for f in (min, max))
         yield (
@@ -279,7 +279,7 @@ def _alike(fits: Mapping[str, Calibration]) -> str:
     """Fits that ended alike, in one sentence; empty where they did not or are many."""
     one = next(iter(fits.values()))
     alike = {(_errors(x), x.outcome, x.method) for x in fits.values()}
-    if len(alike) > 1 or len(fits) > MOST_TOLD:
+    if len(alike) > 1 or len(fits) > MOST_LISTED_FITS:
         return ""
     counts = sorted({x.n_simulations for x in fits.values()})
     many = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
@@ -314,8 +314,8 @@ def _disagreement(fits: Mapping[str, Calibration]) -> str:
     for j in np.argsort(-spread)[:MOST_SEARCHES_NAMED]:
         if spread[j] > WITHIN:
             name, k = shared[j], sorted((int(ends[:, j].argmin()), int(ends[:, j].argmax())))
-            told = [f"{amount(float(ends[i, j]), unit_of(name))} from {starts[i]}" for i in k]
-            clauses.append(f"{parameter_words(name)} is {listed(told, 'but')}")
+            ended = [f"{amount(float(ends[i, j]), unit_of(name))} from {starts[i]}" for i in k]
+            clauses.append(f"{parameter_words(name)} is {listed(ended, 'but')}")
     if not clauses:
         return ""
     return f"Different starts end at different parameters: {'; '.join(clauses)}."

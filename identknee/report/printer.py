@@ -19,7 +19,7 @@ def full_text(answer: Answer) -> str:
 
 
 def terminal_lines(answer: Answer) -> list[str]:
-    """What a person is told of an answer: sentences with their tables, then what to know."""
+    """What a person reads of an answer: sentences with their tables, then what to know."""
     lines: list[str] = []
     for statement in statements_of(answer):
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables)]

@@ -137,8 +137,8 @@ class Table:
         ]
 
     @property
-    def told(self) -> "Table":
-        """The same without columns of text, such as remarks, that are blank in every row."""
+    def without_blank_columns(self) -> "Table":
+        """The table without columns of text, such as remarks, that are blank in every row."""
         n = len(self.columns)
         kept = [i for i in range(n) if i == 0 or any(row[i] != "" for row in self.rows)]
         if len(kept) == n or not self.rows:
@@ -159,8 +159,8 @@ class Table:
     @override
     def __str__(self) -> str:
         """The table in columns of even width, for a terminal."""
-        if self.told is not self:
-            return str(self.told)
+        if self.without_blank_columns is not self:
+            return str(self.without_blank_columns)
         rows = [[column.head for column in self.columns], *self.texts()[: self.most]]
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.columns))]
         lines = [

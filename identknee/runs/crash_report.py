@@ -42,7 +42,7 @@ def report_unexpected_error(
     error
         What was raised.
     settings
-        The options of the call by name. Those that name files are told with their digests.
+        The options of the call by name. Those that name files are listed with their digests.
     folder
         Where the report belongs; the folder of logs where there is none or it cannot be written.
     """

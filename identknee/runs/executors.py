@@ -321,7 +321,7 @@ def _apply_on_one_thread(function: Callable[[Any], Any], item: Any) -> Any:
     return function(item)
 
 
-# As processes of this machine are told when they start, so that sums have the same bits.
+# As processes of this machine are set when they start, so that sums have the same bits.
 _keep_to_one_thread = cache(use_one_library_thread)
 
 

@@ -91,25 +91,25 @@ class ProgressLines:
         with self._lock:
             elapsed = time.monotonic() - self._began
             left = time_left(elapsed, share, self._before) if left_s is None else left_s
-            told = f"{100 * share:.0f} % done"
-            self._line(elapsed, f"{note}, {told}" if note else told, left)
+            state = f"{100 * share:.0f} % done"
+            self._line(elapsed, f"{note}, {state}" if note else state, left)
 
     def say(self, sentence: str, /) -> None:
         """Say a sentence on a line of its own."""
         sys.stderr.write(f"identknee: {sentence}\n")
         sys.stderr.flush()
 
-    def _line(self, elapsed_s: float, told: str, left_s: float | None) -> None:
+    def _line(self, elapsed_s: float, state: str, left_s: float | None) -> None:
         if elapsed_s < self._next_s:
             return
         self._next_s = elapsed_s + min(elapsed_s, MOST_RARELY_S)
         left = in_words(left_s)
-        self.say(f"{self._description}: {told}{f', {left}' if left else ''}")
+        self.say(f"{self._description}: {state}{f', {left}' if left else ''}")
 
 
 Item = TypeVar("Item")
 DELAY_S = 2.0
-# Work that takes longer is told how it could be shortened.
+# Work that takes longer says how it could be shortened.
 LONG_S = 300.0
 _one_bar = threading.Lock()
 _plans: list["_Plan"] = []
@@ -152,7 +152,7 @@ def progress(
 
 
 def counted(items: Iterable[Item], advance: Advance) -> Iterator[Item]:
-    """The same items, each told to `advance` once it is dealt with."""
+    """The same items, each counted by `advance` once it is dealt with."""
     for item in items:
         yield item
         advance(1)
@@ -175,7 +175,7 @@ def progress_bar(
     is_counted: bool = True,
     costs: Sequence[float] = (),
 ) -> Iterator[Advance]:
-    """Function to be told how many more are done; the bar is drawn as in `progress`.
+    """Function to call with how many more are done; the bar is drawn as in `progress`.
 
     One bar is drawn at a time, the outermost, and none in worker processes. Within `planned` work
     the bar is that of the plan.
@@ -189,7 +189,7 @@ def progress_bar(
     before
         How many of them an earlier run did, from which no time follows.
     is_counted
-        Whether items are counted; otherwise a share is told.
+        Whether items are counted; otherwise a share is shown.
     costs
         What each item costs, where that is better known now than it was to the plan.
 

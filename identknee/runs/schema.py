@@ -74,7 +74,7 @@ class Fault:
 
 
 def refusal(why: str, remedy: str) -> PydanticCustomError:
-    """What a validator raises to have its own words told."""
+    """What a validator raises to have its own words shown."""
     # Braces would be read as places to fill in.
     context = {"why": why, "remedy": remedy}
     return PydanticCustomError("said", "{why}", context)

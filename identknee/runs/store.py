@@ -254,7 +254,7 @@ def resumable_map(
         From the top of a module, or a `functools.partial` of one, if `executor` runs processes.
     items
         What to go through. Results are kept by position: a store is for one list of items, and
-        `open_work` must have been told what that list follows from.
+        `open_work` must have been given what that list follows from.
     executor
         Anything with an ordered ``map``.
     store

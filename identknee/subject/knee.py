@@ -102,17 +102,17 @@ class Uncertainty:
     @property
     def words(self) -> dict[str, str]:
         """What each part was taken for, such as ``2 mm`` or ``exact``, by the name of the part."""
-        told: dict[str, str] = {}
+        found: dict[str, str] = {}
         for name, value in self._values():
             if isinstance(value, Mapping):
                 stated = sum(len(bones) for bones in value.values())
-                told[name] = f"{stated} stated by ligament and bone, the others exact"
+                found[name] = f"{stated} stated by ligament and bone, the others exact"
             elif value == 0.0:
-                told[name] = "exact"
+                found[name] = "exact"
             else:
                 sized = f"{value:g} {_unit(name)}".strip()
-                told[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
-        return told
+                found[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
+        return found
 
     @property
     def sentence(self) -> str:
@@ -123,10 +123,10 @@ class Uncertainty:
                 "Geometry, frames, loads and flexion were treated as exact; state their "
                 "uncertainty with --uncertain, for example --uncertain insertions=2mm."
             )
-        told = [f"{meanings[name]} ({x})" for name, x in self.words.items() if x != "exact"]
+        uncertain = [f"{meanings[name]} ({x})" for name, x in self.words.items() if x != "exact"]
         rest = [meanings[name] for name, x in self.words.items() if x == "exact"]
         exact = f" As exact: {', '.join(rest)}." if rest else ""
-        return f"Taken as uncertain: {', '.join(told)}.{exact}"
+        return f"Taken as uncertain: {', '.join(uncertain)}.{exact}"
 
     def insertion_covariance(self, ligament: str, bone: str) -> Array:
         """Covariance of an insertion along the axes of its bone [mm^2], shape ``(3, 3)``."""

@@ -539,7 +539,7 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     connects them, perhaps with welds in between. Its two frames become the frames of the bones, in
     mm. Every ``Blankevoort1991Ligament`` from one to the other becomes a straight line, its
     reference strain following from its slack length; which of them wrapped or had further points
-    is told in the description. Contact meshes are looked for beside the file and in ``Geometry``.
+    is listed in the description. Contact meshes are looked for beside the file and in ``Geometry``.
 
     Parameters
     ----------

@@ -138,9 +138,9 @@ def equivalents(
         raise no_prediction(setup)
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
     n, q = setup.problem.parameters.n, len(quantities)
-    told = f"finding the ranges of {n} parameters and {q} ligament forces"
+    description = f"finding the ranges of {n} parameters and {q} ligament forces"
     with planned(
-        told,
+        description,
         {
             "simulating sets": [0.017] * (3 * n_sets),
             # Extrema of parameters, of which there is a first guess, and of forces.

@@ -297,7 +297,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     """Fits from the start and from around it, the lowest first.
 
     Beside nuisances all but the lowest are brief: searches among so many parameters creep for
-    hundreds of simulations, when the lowest can long be told.
+    hundreds of simulations, long after the lowest is known.
 
     Raises
     ------

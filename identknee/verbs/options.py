@@ -264,7 +264,7 @@ def explained(function: Function, parameters: Mapping[str, inspect.Parameter]) -
     plain = [x.replace(annotation=_plain(x.annotation)) for x in parameters.values()]
     back = inspect.signature(function).return_annotation
     setattr(function, IN_FULL, parameters)
-    # Readers of a docstring are told plain types; those of the command line ask for the options.
+    # Readers of a docstring see plain types; those of the command line ask for the options.
     function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         plain, return_annotation=back
     )

@@ -179,10 +179,9 @@ def _import(run: Run, subject: options.Subject, **_: Unpack[ImportOptions]) -> S
 
 PROPOSAL = (
     "The subject does not state how well it is known, so it is treated as exact. If you have no "
-    "better information"
-    "better, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation repeats to 1 to "
-    "4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_region = 0.2 (estimates: no law "
-    "of contact or of a toe region is exact)."
+    "better information, add to subject.toml: [uncertainty] insertions_mm = 2.0 (segmentation "
+    "repeats to 1 to 4 mm), contact_modulus = 0.3, contact_exponent = 0.2 and toe_region = 0.2 "
+    "(estimates: no law of contact or of a toe region is exact)."
 )
 
 

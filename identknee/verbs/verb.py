@@ -251,8 +251,8 @@ def _run(
     read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(x) for key, x in arguments.items()}
-    told = {key: x for key, x in settings.items() if key not in secret}
-    recording = record(name, told, inputs, arguments.get("seed"))
+    recorded = {key: x for key, x in settings.items() if key not in secret}
+    recording = record(name, recorded, inputs, arguments.get("seed"))
     deciding = {key: x for key, x in settings.items() if key not in beside}
     workers = arguments.get("workers", 1)
     with ExitStack() as stack:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from energy_evaluation import point_at
-from oracle import OracleKnee
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity
@@ -120,19 +119,4 @@ def trial_energy(of: LaxityModel, theta: Array, trial: int) -> PoseEnergy:
         theta=np.asarray(theta, float),
         flexion=float(of.paths.flexion[node]),
         load=of.paths.loads[node],
-    )
-
-
-def oracle_knee(of: LaxityModel) -> OracleKnee:
-    """The same model for the slow oracle."""
-    joint = of.joint
-    return OracleKnee(
-        coefficients=joint.field.coefficients.tolist(),
-        origin=joint.field.origin.tolist(),
-        spacing=joint.field.spacing,
-        points=joint.contact.points.tolist(),
-        areas=joint.contact.areas.tolist(),
-        femoral=joint.lines.femoral.tolist(),
-        tibial=joint.lines.tibial.tolist(),
-        reference_length=joint.lines.reference_length.tolist(),
     )

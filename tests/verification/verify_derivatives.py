@@ -4,7 +4,8 @@ import argparse
 
 import numpy as np
 import oracle
-from knees import SCALE, anywhere, model, oracle_knee, trial_energy
+from energy_evaluation import oracle_of
+from knees import SCALE, anywhere, model, trial_energy
 from oracle import State
 from requirement_rows import Row, largest_of
 
@@ -37,7 +38,7 @@ def measure(options: argparse.Namespace) -> Row:
 
 
 def _errors(of: LaxityModel, generator: np.random.Generator) -> list[tuple[dict[str, float], int]]:
-    slow = oracle_knee(of)
+    slow = oracle_of(of.joint)
     own = of.predict(of.parameters.center, derivatives=False)
     trials = generator.choice(of.protocol.n, POSES, replace=False)
     found = []

@@ -4,7 +4,8 @@ import argparse
 
 import numpy as np
 import oracle
-from knees import SCALE, anywhere, model, oracle_knee, trial_energy
+from energy_evaluation import oracle_of
+from knees import SCALE, anywhere, model, trial_energy
 from oracle import State
 from requirement_rows import Row, largest_of
 
@@ -49,7 +50,7 @@ def _residuals(of: LaxityModel, theta: Array) -> list[float]:
 
 
 def _by_oracle(of: LaxityModel, theta: Array, generator: np.random.Generator) -> list[float]:
-    slow = oracle_knee(of)
+    slow = oracle_of(of.joint)
     prediction = of.predict(theta, derivatives=False)
     m = len(theta) // 2
     found = []

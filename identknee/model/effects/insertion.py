@@ -50,8 +50,8 @@ def _shifted(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
 GROSS_SD, FARTHEST = 5.0, 25.0  # mm
 # Along x, y and z of the bone of a right knee: towards the positive side and the negative one.
 WAYS = (("anterior", "posterior"), ("proximal", "distal"), ("lateral", "medial"))
-# Share of the largest shift below which one along another axis is not told.
-LEAST_TOLD = 0.25
+# Share of the largest shift below which one along another axis is not reported.
+LEAST_NAMED = 0.25
 
 
 @declared
@@ -138,9 +138,9 @@ def direction_words(shifts: Mapping[str, float]) -> str:
     name, end = next(iter(found.items()))
     ligament, _, bone = name.removesuffix(end).rpartition("_")
     largest = max(abs(x) for x in shifts.values())
-    told = [
+    phrases = [
         f"{abs(shifts[x]):.1f} mm more {ways[end][shifts[x] < 0.0]}"
         for x, end in sorted(found.items(), key=lambda item: -abs(shifts[item[0]]))
-        if abs(shifts[x]) >= LEAST_TOLD * largest
+        if abs(shifts[x]) >= LEAST_NAMED * largest
     ]
-    return f"The insertion of the {ligament} on the {bone} lies {' and '.join(told)} than given."
+    return f"The insertion of the {ligament} on the {bone} lies {' and '.join(phrases)} than given."

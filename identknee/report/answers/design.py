@@ -35,7 +35,7 @@ def trial_list(trials: Iterable[Mapping[str, Any]]) -> str:
     return capitalised(counted(map(trial_description, trials)))
 
 
-def counted(told: Iterable[str]) -> str:
+def counted(texts: Iterable[str]) -> str:
     """A list in which what comes more than once stands once, with how often.
 
     Examples
@@ -43,7 +43,7 @@ def counted(told: Iterable[str]) -> str:
     >>> counted(["a", "b", "a"])
     'a (twice) and b'
     """
-    counts = Counter(told)
+    counts = Counter(texts)
     return listed(x if n == 1 else f"{x} ({times(n)})" for x, n in counts.items())
 
 
@@ -156,10 +156,10 @@ def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:
     """How well that is, in brackets, where it is one size for each unit."""
     own = [x for x in nuisances if group_name(x.name) == name]
     sds = {unit: {x.prior_sd for x in own if x.name.endswith(f"_{unit}")} for unit in UNITS}
-    told = [(min(x), unit) for unit, x in sds.items() if x]
-    if not told or any(len(x) > 1 for x in sds.values()):
+    assumed = [(min(x), unit) for unit, x in sds.items() if x]
+    if not assumed or any(len(x) > 1 for x in sds.values()):
         return ""
-    new, old = (" and ".join(f"{y * x:.3g} {unit}" for x, unit in told) for y in (SHARE, 1.0))
+    new, old = (" and ".join(f"{y * x:.3g} {unit}" for x, unit in assumed) for y in (SHARE, 1.0))
     return f" (to {new} instead of {old})"
 
 

@@ -138,21 +138,21 @@ class SamplePresenter(Presenter[Sample]):
         if answer.draws is None:
             return
         names, draws = answer.space.names, _thinned(answer.draws.theta)
-        told = listed(map(label, names))
+        names_listed = listed(map(label, names))
         yield Drawing(
             name="prior-posterior",
             figure=prior_posterior_figure(
                 names, _thinned(answer.prior.theta), {"posterior": draws}
             ),
             caption="Prior (grey) and posterior of each parameter.",
-            description=f"Densities of {told} before and after the data.",
+            description=f"Densities of {names_listed} before and after the data.",
         )
         yield Drawing(
             name="corner",
             figure=corner_figure(names, draws),
             caption="Every pair of parameters: 50 and 95 % of the posterior lie inside the lines. "
             "Elongated shapes are parameters that compensate for one another.",
-            description=f"Pairwise posterior of {told}.",
+            description=f"Pairwise posterior of {names_listed}.",
         )
         if answer.predictive is not None and answer.data is not None:
             predictive = answer.predictive

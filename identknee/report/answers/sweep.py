@@ -134,14 +134,14 @@ class SweepPresenter(Presenter[Sweep]):
             "end": (number, np.sort(searches.objectives)),
             "polished": (number, np.sort(searches.polished_objectives)),
         }
-        told = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
+        counts = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
         if np.isfinite(searches.objectives).any():
             yield Drawing(
                 name="waterfall",
                 figure=waterfall_figure({f"{searches.n} starts": curves}),
                 caption="Objective at which each search ended, the best first. A step is a place "
                 "where several searches ended.",
-                description=f"Objectives of {searches.n} searches in ascending order: {told}.",
+                description=f"Objectives of {searches.n} searches in ascending order: {counts}.",
             )
         kinds = [OUTCOMES[code].value for code in searches.kind_codes]
         names, best = searches.parameters.names, searches.polished[searches.best]
@@ -152,5 +152,5 @@ class SweepPresenter(Presenter[Sweep]):
             ),
             caption="Where searches began (coloured by how they ended) and where they ended "
             "(black), in the plane of each ligament's two parameters.",
-            description=f"Starts and ends of {searches.n} searches: {told}.",
+            description=f"Starts and ends of {searches.n} searches: {counts}.",
         )

@@ -68,9 +68,9 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
             # Of one knee that was taken in several ways also which is meant.
             stated = x.results[0].record["settings"].get("uncertain")
             given = [stated] if isinstance(stated, str) else stated or ()
-            told = ", ".join(",".join(given).replace(" ", "").split(","))
+            stated_words = ", ".join(",".join(given).replace(" ", "").split(","))
             number = titles[: k + 1].count(name)
-            name = f"{name} ({f'uncertain {told}' if told else f'number {number}'})"
+            name = f"{name} ({f'uncertain {stated_words}' if stated_words else f'number {number}'})"
         level = 2 if len(subjects) == 1 else 3
         scene = shown.get(x.results[0].subject_digest)
         named.append((name, _subject_html(x, k + 1, level, scene)))
@@ -221,7 +221,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
         for x in results
         if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
     ]
-    # The table that most fits were made to is told of all of them.
+    # The table that most fits were made to is compared with all of them.
     counts = Counter(x.data_digest for x in ended)
     main, n = counts.most_common(1)[0] if counts else ("", 0)
     together = [x for x in ended if x.data_digest == main] if n > 1 else []
@@ -239,7 +239,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
             if result is together[0]:
                 own.insert(0, _fits_statement([x.answer for x in together]))
         said += [(x, _source(result)) for x in own]
-    # Assumptions are told with their source if not shared by all.
+    # Assumptions are listed with their source if not shared by all.
     taken = {_source(x): assumption_sentences(x.answer) for x in results}
     sources = [x for x in taken if taken[x]]
     by_sources: dict[tuple[str, ...], list[str]] = {}
@@ -247,10 +247,10 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
         owners = tuple(x for x in sources if sentence in taken[x])
         by_sources.setdefault(owners, []).append(sentence)
     for owners, sentences in by_sources.items():
-        told = " ".join(sentences)
+        text = " ".join(sentences)
         if len(owners) < len(sources):
-            told = f"{capitalised(listed(owners))}: {told}"
-        said.append((Statement(question=Question.KNOWN, sentence=told), listed(owners)))
+            text = f"{capitalised(listed(owners))}: {text}"
+        said.append((Statement(question=Question.KNOWN, sentence=text), listed(owners)))
     return said
 
 

@@ -199,14 +199,14 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
         if curves is None:
             continue
         measured, drawn = curves.measured is not None, listed(curves.simulated)
-        told = listed([*curves.simulated, *["data"] * measured])
+        sources = listed([*curves.simulated, *["data"] * measured])
         if (figure := along_load_figure(curves)) is not None:
             bars = " with two standard deviations" * (curves.sd is not None)
             parts = [f"dots: measured{bars}"] * measured + [f"lines: {drawn}"]
             if curves.band is not None:
                 parts.append(f"band: {curves.band[0]}")
             caption = f"Displacement along each load; {'; '.join(parts)}."
-            description = f"Laxity along every load at each flexion angle: {told}."
+            description = f"Laxity along every load at each flexion angle: {sources}."
         else:
             figure = by_flexion_figure(curves)
             caption = f"Where the tibia lies in every trial; coloured: {drawn}."
@@ -215,7 +215,7 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
                     "Where the tibia lies in every trial; black: measured, coloured: "
                     f"{drawn}. A line joins both of one trial: the longer, the worse they agree."
                 )
-            description = f"All five coordinates of every trial against flexion: {told}."
+            description = f"All five coordinates of every trial against flexion: {sources}."
         yield (
             result,
             Drawing(name="laxity", figure=figure, caption=caption, description=description),
@@ -228,6 +228,6 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
                     figure=whole,
                     caption="All five coordinates along every load, also those it does not act "
                     "on directly.",
-                    description=f"Five coordinates along every load: {told}.",
+                    description=f"Five coordinates along every load: {sources}.",
                 ),
             )

@@ -195,7 +195,7 @@ def _trials(
     tibia: Mesh,
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
-    told = nominal_loads(protocol)
+    main_loads = nominal_loads(protocol)
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -204,7 +204,7 @@ def _trials(
         trials.append(
             SceneTrial(
                 name=protocol.trials[i],
-                loads=setting_words(float(protocol.flexion_deg[i]), told[i]),
+                loads=setting_words(float(protocol.flexion_deg[i]), main_loads[i]),
                 outcome=outcome,
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),

@@ -162,7 +162,7 @@ def test_the_keyboard_reaches_the_answer_and_opens_its_numbers(browser: Any) -> 
 
     browser.refresh()
     ActionChains(browser).send_keys(TAB).perform()
-    assert str(browser.switch_to.active_element.get_attribute("href")).endswith("#answer-1")
+    assert str(browser.switch_to.active_element.get_attribute("href")).endswith("#main")
     assert browser.find_element("css selector", ".verdict").is_displayed()
     first = browser.find_element("css selector", "main li details")
     assert first.get_attribute("open") is None

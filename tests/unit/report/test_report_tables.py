@@ -46,10 +46,10 @@ def test_text_is_in_columns() -> None:
 def test_remarks_that_nobody_made_are_not_shown() -> None:
     columns = tuple(Column(name=x) for x in ("parameter", "remark"))
     blank = Table(title="t", columns=columns, rows=(("a", ""), ("b", "")))
-    assert [x.name for x in blank.told.columns] == ["parameter"]
+    assert [x.name for x in blank.without_blank_columns.columns] == ["parameter"]
     assert "remark" not in str(blank)
     said = Table(title="t", columns=columns, rows=(("a", ""), ("b", "at its bound")))
-    assert said.told is said
+    assert said.without_blank_columns is said
     assert "remark" in str(said)
 
 
