@@ -241,6 +241,13 @@ def sum_up(load, law, ligaments, placed, expansion, at):
     for i in range(5):
         energy -= load[i] * placed.pose[i]
         at.gradient[i] -= load[i]
+    if placed.hold > 0.0:
+        for i in range(5):
+            stiffness = placed.hold * scale_of(i) ** 2
+            away = placed.pose[i] - placed.held_at[i]
+            energy += 0.5 * stiffness * away * away
+            at.gradient[i] += stiffness * away
+            at.hessian[i, i] += stiffness
     return energy
 
 

@@ -35,6 +35,7 @@ Continuation = Literal["continuation", "single-step"]
 FLEXION_STEP = np.radians(10.0)
 LOAD_STEP = 2000.0 / ROTATION_SCALE  # N, or N mm per rotation scale: 2 N m
 NEAR = 30.0  # mm, or 43 deg of rotation: what is farther from a measured pose is another one
+FREE = 1e9  # mm; as far as it goes
 _SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
 
 
@@ -52,7 +53,12 @@ class LoadPaths:
     trial_node: IntArray = entry("The node of each trial, shape ``(n_trials,)``")
     farthest: float = entry(
         "How far from its start the search may end where a path begins, rotations times 40 mm [mm]",
-        default=1e9,
+        default=FREE,
+    )
+    is_released: bool = entry(
+        "Whether a spring holds the knee where its path begins, and lets go of it while the "
+        "equilibrium is followed",
+        default=False,
     )
 
 
@@ -95,10 +101,11 @@ def _load_paths(
     )
 
 
-def paths_of_single_step(flexion: Array, loads: Array) -> LoadPaths:
+def paths_of_release(flexion: Array, loads: Array) -> LoadPaths:
     """Paths of one node each: trials at `flexion` [rad] (n,) bear their whole `loads` (n, 5).
 
-    An equilibrium counts within `NEAR` of where its search begins.
+    A spring holds each knee where its path begins. The equilibrium is followed while the spring
+    becomes softer, so that it is the one that belongs to that pose, wherever a search would end.
     """
     n = len(flexion)
     return LoadPaths(
@@ -107,6 +114,7 @@ def paths_of_single_step(flexion: Array, loads: Array) -> LoadPaths:
         parent=frozen_integers(np.full(n, -1)),
         trial_node=frozen_integers(np.arange(n)),
         farthest=NEAR,
+        is_released=True,
     )
 
 
@@ -184,6 +192,7 @@ def _forget(evaluation: EvaluationMemory) -> None:
     placed.counts[N_LISTED] = -1
     placed.pose[:] = np.inf
     placed.expanded[:] = np.inf
+    placed.hold = 0.0
 
 
 TRANSITION_STRAIN = 0.03
@@ -320,7 +329,15 @@ def solve(
 # The same for many simulations.
 @lru_cache(maxsize=4)
 def _node_arrays(paths: LoadPaths) -> NodeArrays:
-    return read_only(NodeArrays(paths.flexion, paths.loads, paths.parent, float(paths.farthest)))
+    return read_only(
+        NodeArrays(
+            paths.flexion,
+            paths.loads,
+            paths.parent,
+            float(paths.farthest),
+            paths.is_released,
+        )
+    )
 
 
 _contact_arrays = lru_cache(maxsize=8)(ContactPoints.arrays)

@@ -27,8 +27,10 @@ from identknee.mechanics.energy import (
     trust_region_step,
 )
 from identknee.mechanics.memory import (
+    BEGINNINGS,
     CONVERGED,
     FOLD,
+    HOLDS,
     MOST_HALVINGS,
     NO_EQUILIBRIUM,
     UNCONSTRAINED,
@@ -288,6 +290,128 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
     return CONVERGED, 1.0, residual, solves
 
 
+HALF_RELEASED = 10.0  # N/mm; the stiffness of a spring that has let go of half of the knee
+SHORTEST_RELEASE = 0.005
+CLEAR = 0.9  # of where the knee gives way: nearer to it the pose moves without bound
+
+
+@compiled
+def release(flexion, load, farthest, contact, field, ligaments, work):
+    """Follow the equilibrium of a knee while the spring that holds it lets go.
+
+    The spring holds it at ``work.evaluation.placed.held_at``, with a stiffness of HALF_RELEASED
+    (1 / u - 1), where u goes from near 0 to 1. ``work.path.here`` becomes the equilibrium without
+    it. Where there is none, it becomes that with the spring at the last of `HOLDS` well before the
+    knee gives way, and ``placed.hold`` the stiffness there.
+
+    Returns (outcome, u, residual, number of solves).
+    """
+    placed, path = work.evaluation.placed, work.path
+    here, begun, outcome, residual, solves = path.here, 0.0, NO_EQUILIBRIUM, 0.0, 0
+    for k in range(len(BEGINNINGS)):
+        begun = BEGINNINGS[k]
+        for i in range(5):
+            here.pose[i] = placed.held_at[i]
+        placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
+        outcome, residual = find_minimum(
+            flexion, here, load, farthest, contact, field, ligaments, work
+        )
+        solves += 1
+        if outcome == CONVERGED:
+            break
+    if outcome != CONVERGED:
+        placed.hold = 0.0
+        return outcome, 0.0, residual, solves
+    for k in range(len(HOLDS)):
+        path.kept_at[k] = begun
+        for i in range(5):
+            path.kept[k, i] = here.pose[i]
+    outcome, reached, residual, more = follow_release(
+        flexion, begun, 1.0, load, contact, field, ligaments, work
+    )
+    solves += more
+    if outcome == CONVERGED:
+        if distance_between(here.pose, placed.held_at) > farthest:
+            outcome = NO_EQUILIBRIUM
+        return outcome, 1.0, residual, solves
+    k = 0
+    while k < len(HOLDS) - 1 and HOLDS[k] > CLEAR * reached:
+        k += 1
+    begun = path.kept_at[k]
+    for i in range(5):
+        here.pose[i] = path.kept[k, i]
+    placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
+    find_minimum(flexion, here, load, LARGEST_MOVE, contact, field, ligaments, work)
+    _, reached, residual, more = follow_release(
+        flexion, begun, max(begun, HOLDS[k]), load, contact, field, ligaments, work
+    )
+    placed.hold = HALF_RELEASED * (1.0 / reached - 1.0)
+    return outcome, reached, residual, solves + more + 1
+
+
+@compiled
+def follow_release(flexion, begun, goal, load, contact, field, ligaments, work):
+    """Follow the equilibrium at ``work.path.here`` while the spring lets go from `begun` to `goal`.
+
+    Steps are accepted and halved as in `follow`.
+
+    Returns (outcome, how far it could let go, residual, number of solves).
+    """
+    placed, path = work.evaluation.placed, work.path
+    here, there, far, goals = path.here, path.there, path.far, path.goals
+    reached, share, n_far, residual, solves = begun, begun, np.int64(0), 0.0, 0
+    release_tangent(here, begun, placed, work.solver)
+    while reached < goal:
+        share = min(share, goal - reached)
+        place = goal if share == goal - reached else reached + share
+        outcome = CONVERGED
+        is_known = n_far > 0 and place == goals[n_far - 1]
+        if is_known:
+            copy_point(far[n_far - 1], there)
+        else:
+            for i in range(5):
+                there.pose[i] = here.pose[i] + share * here.tangent[i]
+            placed.hold = HALF_RELEASED * (1.0 / place - 1.0)
+            outcome, residual = find_minimum(
+                flexion, there, load, LARGEST_MOVE, contact, field, ligaments, work
+            )
+            solves += 1
+            release_tangent(there, place, placed, work.solver)
+        if outcome == CONVERGED and not leaves_branch(here, there, share, 1.0):
+            copy_point(there, here)
+            reached = place
+            for k in range(len(HOLDS)):
+                if reached <= HOLDS[k]:
+                    path.kept_at[k] = reached
+                    for i in range(5):
+                        path.kept[k, i] = here.pose[i]
+            n_far -= is_known
+            share = goals[n_far - 1] - reached if n_far > 0 else 2.0 * share
+        else:
+            if outcome == CONVERGED and not is_known:
+                copy_point(there, far[n_far])
+                goals[n_far] = place
+                n_far += 1
+            share *= 0.5
+            if share < SHORTEST_RELEASE:
+                free = not factorise(here.hessian, -10.0 * FLOOR_MARGIN, work.solver.factor)
+                return UNCONSTRAINED if free else FOLD, reached, residual, solves
+    return CONVERGED, goal, residual, solves
+
+
+@compiled
+def release_tangent(state, place, placed, solver):
+    """Write how the equilibrium moves while the spring lets go: H^-1 times the force it loses."""
+    for i in range(5):
+        away = state.pose[i] - placed.held_at[i]
+        solver.right[i] = HALF_RELEASED / place**2 * scale_of(i) ** 2 * away
+    if factorise(state.hessian, 0.0, solver.factor):
+        substitute(solver.factor, solver.right, state.tangent)
+    else:
+        for i in range(5):
+            state.tangent[i] = 0.0
+
+
 @compiled
 def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_sums):
     """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
@@ -326,11 +450,19 @@ def simulate_path(
     evaluation.
     """
     here, load, columns = work.path.here, work.path.load, work.columns
+    placed = work.evaluation.placed
+    placed.hold = 0.0
     for n in range(len(nodes.parent)):
         before, angle = nodes.parent[n], nodes.flexion[n]
         for i in range(5):
             load[i] = nodes.loads[n, i]
-        if before < 0:
+        if before < 0 and nodes.is_released:
+            for i in range(5):
+                placed.held_at[i] = starts[n, i]
+            outcome, results.reached[n], results.residuals[n], results.solves[n] = release(
+                angle, load, nodes.farthest, contact, field, ligaments, work
+            )
+        elif before < 0:
             for i in range(5):
                 here.pose[i] = starts[n, i]
             outcome, results.residuals[n] = find_minimum(
@@ -356,8 +488,9 @@ def simulate_path(
         evaluate_if_moved(angle, here.pose, load, contact, field, ligaments, work)
         write_contact_forces(contact.law, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
-        if derivatives and outcome == CONVERGED:
+        if derivatives and (outcome == CONVERGED or placed.hold > 0.0):
             slopes, sums = results.sensitivities[n], results.contact_sums[n]
             sensitivities(
                 angle, here.pose, here.hessian, contact, ligaments, work, columns, slopes, sums
             )
+        placed.hold = 0.0

@@ -20,6 +20,10 @@ ROTATION_SCALE = 40.0
 # the law has no rounding; from this bit on the same where it has.
 FIRST_ROUNDED = 8
 MOST_HALVINGS = 10  # of the way from one node of the load path to the next
+# How far a spring that holds the knee has let go, from 0 to 1: where a knee without equilibrium is
+# held, and where the equilibrium is looked for at first, the largest that has one.
+HOLDS = np.array([0.9, 0.7, 0.5, 0.3, 0.2, 0.1])
+BEGINNINGS = np.array([0.1, 0.01, 0.001])
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
 
 
@@ -130,12 +134,15 @@ class NodeArrays(NamedTuple):
         The node each is reached from; the search begins anew at -1; shape ``(n,)``.
     farthest
         How far from its start such a search may end [mm].
+    is_released
+        Whether a spring holds the knee there that lets go while the equilibrium is followed.
     """
 
     flexion: Array
     loads: Array
     parent: IntArray
     farthest: float
+    is_released: bool
 
 
 class Segment(NamedTuple):
@@ -184,7 +191,8 @@ SOLVER = np.dtype(
 )
 # What following a branch along one segment needs: the last equilibrium accepted, and that found
 # next; those found too far away for one step, one closer than the other, kept until they are near
-# enough, and where on the segment they are; the load at `there`, and its change on the segment.
+# enough, and where on the segment they are; the load at `there`, and its change on the segment; the
+# last poses of a release before each of `HOLDS`, and how far it was there.
 PATH = np.dtype(
     [
         ("here", POINT),
@@ -193,15 +201,18 @@ PATH = np.dtype(
         ("goals", float, MOST_HALVINGS + 1),
         ("load", float, 5),
         ("change", float, 5),
+        ("kept", float, (len(HOLDS), 5)),
+        ("kept_at", float, len(HOLDS)),
     ]
 )
 # The pose evaluated last, and that where the contact was expanded; rotation and translation of the
 # tibia there, in femoral axes and in the frame of the distance field, and those for which points
-# were listed; how the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes`
-# writes it; the sums over the elements, as `identknee.mechanics.elements.write_sums` writes them;
-# length, gradient (3) and Hessian (6) of a line; how many points are listed (-1: no list yet) and
-# may touch, how many evaluations, listings and evaluations of the expansion were made, at the
-# places `N_LISTED` to `N_EXPANDED`.
+# were listed; the stiffness of a spring that holds the knee at a pose [N/mm], and that pose; how
+# the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it; the sums
+# over the elements, as `identknee.mechanics.elements.write_sums` writes them; length, gradient (3)
+# and Hessian (6) of a line; how many points are listed (-1: no list yet) and may touch, how many
+# evaluations, listings and evaluations of the expansion were made, at the places `N_LISTED` to
+# `N_EXPANDED`.
 PLACED = np.dtype(
     [
         ("pose", float, 5),
@@ -211,6 +222,8 @@ PLACED = np.dtype(
         ("field_rotation", float, 9),
         ("field_translation", float, 3),
         ("listed_pose", float, 12),
+        ("hold", float),
+        ("held_at", float, 5),
         ("axes", float, (9, 3)),
         ("sums", float, 39),
         ("line", float, 10),
@@ -293,7 +306,8 @@ class Equilibria(NamedTuple):
     residuals
         Size of the gradient before the last, unmeasured step [N], ``(n,)``.
     reached
-        Share of the step from the parent that was reached, ``(n,)``.
+        Share of the step from the parent that was reached, or how far the spring that holds the
+        knee has let go there, ``(n,)``.
     contact_sums
         Sums over the contact elements, as `identknee.mechanics.elements.write_sums` writes them,
         ``(n, 39)``; zero without sensitivities to the contact law.

@@ -31,7 +31,7 @@ from identknee.mechanics.equilibria import (
     LineLigaments,
     LoadPaths,
     load_paths,
-    paths_of_single_step,
+    paths_of_release,
     solve,
     stability_margins,
 )
@@ -299,6 +299,13 @@ class Prediction:
     jacobian: Array | None = entry(
         "Derivatives of the coordinates by theta, shape ``(n, 5, p)``; None if not asked for"
     )
+    held_coordinates: Array = entry(
+        "Those of the last pose, also without equilibrium; where a search begins at a pose, that "
+        "in which a spring holds the knee, shape ``(n, 5)``"
+    )
+    held_jacobian: Array | None = entry(
+        "Their derivatives by theta, shape ``(n, 5, p)``; None with the Jacobian"
+    )
     pose_jacobian: Array | None = entry(
         "Derivatives of the pose by theta, shape ``(n, 5, p)``; None with the Jacobian"
     )
@@ -314,6 +321,10 @@ class Prediction:
     reached: Array = entry(
         "Share of the last load step that was reached, shape ``(n,)``; NaN where a search that "
         "begins at full load failed"
+    )
+    released: Array = entry(
+        "How far a spring that holds the knee at its measured pose can let go, from 0 to 1, shape "
+        "``(n,)``; 0 where trials do not begin at measured poses"
     )
     centres: Array = entry(
         "Contact force of every trial and compartment [N], its centre in tibial and in femoral "
@@ -422,7 +433,7 @@ def solve_beyond_folds(
     if not is_lost.any():
         return found
     lost = nodes[is_lost]
-    at_once = paths_of_single_step(paths.flexion[lost], paths.loads[lost])
+    at_once = paths_of_release(paths.flexion[lost], paths.loads[lost])
     again = solve(at_once, fallback_poses[is_lost], *knee, **{**how, "guesses": None})
     is_found = again.codes == CONVERGED
     for values, others in zip(found, again, strict=True):
@@ -447,10 +458,12 @@ _GENERALISED = np.array(
 class _LastPrediction(threading.local):
     """Cache of the last prediction of each thread."""
 
-    made: "tuple[LaxityModel, Prediction] | None" = None
+    made: "tuple[tuple[LaxityModel, Prediction], ...]" = ()
 
 
 _LAST = _LastPrediction()
+# Models whose last prediction a thread remembers: a trial without equilibrium is predicted twice.
+REMEMBERED = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -477,7 +490,8 @@ class LaxityModel:
         As in `Laxity`, for effects that depend on when a trial was run.
     poses
         Measured pose of each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``. The
-        equilibrium under its whole load is then looked for from there. Those that the knee is known
+        equilibrium under its whole load is then followed from there, while a spring that holds the
+        knee lets go of it. Those that the knee is known
         to take if not given; None where it states none, and paths begin unloaded in the scanned
         pose.
     fallback_poses
@@ -518,7 +532,7 @@ class LaxityModel:
         if self.poses is None:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:
-            paths = paths_of_single_step(flexion, loads)
+            paths = paths_of_release(flexion, loads)
         is_stored = isinstance(self.effects, StoredWithKnee)
         effects = stored_effects(self.knee) if is_stored else tuple(self.effects)
         object.__setattr__(self, "effects", effects)
@@ -665,12 +679,16 @@ class LaxityModel:
         """The prediction at theta with its Jacobian, cached for the last theta.
 
         Residuals, their Jacobian and the quantities of one model thus share one simulation. Each
-        thread remembers one. It raises as `predict` does; mesh contact has no derivatives.
+        thread remembers those of its last two models. It raises as `predict` does; mesh contact has
+        no derivatives.
         """
-        last = _LAST.made
-        if last is None or last[0] is not self or not np.array_equal(last[1].theta, theta):
-            last = _LAST.made = self, self.predict(theta)
-        return last[1]
+        for model, made in _LAST.made:
+            if model is self and np.array_equal(made.theta, theta):
+                return made
+        found = self.predict(theta)
+        others = [x for x in _LAST.made if x[0] is not self]
+        _LAST.made = ((self, found), *others[: REMEMBERED - 1])
+        return found
 
     def simulate(self, theta: Array) -> Laxity:
         """The laxity table of the prediction at theta; trials that did not converge are blank."""
@@ -725,32 +743,40 @@ class LaxityModel:
         amplitudes = self.amplitudes(theta)
         measured = self.extension.observe(actual, amplitudes, self.tests)
         coordinates = np.where(converged[:, None], measured, np.nan)
-        pose_jacobian = jacobian = None
+        pose_jacobian = jacobian = held_jacobian = None
         if derivatives:
+            is_at_rest = (found.codes == CONVERGED) | (
+                self.paths.is_released & (found.reached > 0.0)
+            )
             # By lines first: a ligament moves every line that takes a share of it.
             pose_jacobian = found.sensitivities[nodes][:, :, : 2 * setting.stiffness.size]
             if self.effects:
                 owned = setting.owned(len(self.knee.ligaments))
-                by_amplitude = self.extension.pose_columns(settings, amplitudes, found, nodes)
+                by_amplitude = self.extension.pose_columns(
+                    settings, amplitudes, found, nodes, is_at_rest
+                )
                 by_ligament = pose_jacobian @ _units(owned, setting.share, self.tied)
                 pose_jacobian = np.concatenate([by_ligament, by_amplitude], axis=2)
                 seen, read = self.extension.observed_slopes(actual, amplitudes, self.tests)
-                jacobian = seen @ (coordinate_jacobian(poses) @ pose_jacobian)
-                jacobian[:, :, self.n_ligament_parameters :] += read
+                held_jacobian = seen @ (coordinate_jacobian(poses) @ pose_jacobian)
+                held_jacobian[:, :, self.n_ligament_parameters :] += read
             else:
                 m = len(self.tied.member)
                 pose_jacobian = np.asarray(pose_jacobian @ _units(np.eye(m), np.ones(m), self.tied))
-                jacobian = np.asarray(coordinate_jacobian(poses) @ pose_jacobian)
-            jacobian[~converged] = np.nan
+                held_jacobian = np.asarray(coordinate_jacobian(poses) @ pose_jacobian)
+            jacobian = np.where(converged[:, None, None], held_jacobian, np.nan)
         return Prediction(
             theta=theta,
             coordinates=coordinates,
             jacobian=jacobian,
+            held_coordinates=measured,
+            held_jacobian=held_jacobian,
             pose_jacobian=pose_jacobian,
             codes=codes,
             poses=poses,
             hessians=found.hessians[nodes],
-            reached=reached if self.poses is None else np.where(converged, 1.0, np.nan),
+            reached=np.where(converged, 1.0, np.nan) if self.paths.is_released else reached,
+            released=reached if self.paths.is_released else np.zeros(reached.shape),
             centres=centres,
             rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
@@ -795,11 +821,14 @@ def predict_on_meshes(
         theta=np.array(theta, float),
         coordinates=np.where(converged[:, None], coordinates_from_pose(found.poses), np.nan),
         jacobian=None,
+        held_coordinates=coordinates_from_pose(found.poses),
+        held_jacobian=None,
         pose_jacobian=None,
         codes=np.where(converged, CONVERGED, NO_EQUILIBRIUM),
         poses=found.poses,
         hessians=None,
         reached=np.ones(n),
+        released=np.zeros(n),
         centres=np.zeros((n, 0, 7)),
         rims=None,
         node_poses=found.poses,

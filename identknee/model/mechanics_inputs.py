@@ -293,6 +293,22 @@ def fallback_poses(knee: Knee, laxity: Laxity) -> Array | None:
     return pose_from_coordinates(laxity.coordinates)
 
 
+def holding_poses(scanned: Array, laxity: Laxity) -> Array:
+    """A pose of each trial near the measured one, shape ``(n, 5)``, whatever was measured.
+
+    A coordinate not measured, or counted from another pose, has the value of the trial nearest in
+    flexion that has one, else that of the scanned pose.
+    """
+    coordinates = np.tile(coordinates_from_pose(scanned), (laxity.n, 1))
+    if laxity.zero == "absolute":
+        angles, measured = laxity.protocol.flexion_deg, laxity.is_measured
+        apart = np.abs(angles[:, None] - angles) - np.eye(laxity.n)
+        for j in np.flatnonzero(measured.any(axis=0)).tolist():
+            nearest = np.argmin(np.where(measured[:, j], apart, np.inf), axis=1)
+            coordinates[:, j] = laxity.coordinates[nearest, j]
+    return pose_from_coordinates(coordinates)
+
+
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     """Stated pose of each trial, shape ``(n, 5)``; None if the knee states none.
 

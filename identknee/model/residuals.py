@@ -13,6 +13,7 @@ from identknee.laxity.table import COORDINATES, Laxity, noise_fault
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose
 from identknee.model.effects.tissues import toe_strain
+from identknee.model.held_trials import FARTHEST, HeldTrials
 from identknee.model.laxity_model import LaxityModel, Prediction, trial_contacts
 from identknee.model.nuisances import flexion
 from identknee.model.parameters import Parameters
@@ -57,6 +58,7 @@ class LaxityResiduals:
     weighting: Weighting = "unit"
     shared: Array | None = None
     offset: Array | None = None
+    held: HeldTrials | None = None
     _whitening: Array = field(init=False, repr=False)
     _left: Array | None = field(init=False, repr=False)
 
@@ -96,9 +98,18 @@ class LaxityResiduals:
             else self.model.predict(theta, derivatives=False)
         )
         measured = self.laxity.is_measured
-        if not prediction.is_converged[measured.any(axis=1)].all():
-            return np.full(int(measured.sum()), np.inf)
-        return self.weighted(-self._difference(prediction.coordinates))
+        lost = measured.any(axis=1) & ~prediction.is_converged
+        coordinates = prediction.coordinates
+        if self.held is None:
+            if lost.any():
+                return np.full(int(measured.sum()), np.inf)
+            return self.weighted(-self._difference(coordinates))
+        lack = np.zeros(lost.size)
+        if lost.any():
+            held, _, lack = self.held.predict(theta)
+            coordinates = np.where(lost[:, None], held, coordinates)
+            lack = np.where(lost, lack, 0.0)
+        return np.concatenate([self.weighted(-self._difference(coordinates)), self._far * lack])
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite.
@@ -108,10 +119,26 @@ class LaxityResiduals:
         ValueError
             For mesh contact, which has no derivatives.
         """
-        jacobian = self.model.predict_once(theta).jacobian
+        prediction = self.model.predict_once(theta)
+        jacobian = prediction.jacobian
         if jacobian is None:  # pragma: no cover - it was asked for
             raise AssertionError
-        return self.weighted(self.as_measured(jacobian))
+        if self.held is None:
+            return self.rows(jacobian)
+        lost = self.laxity.is_measured.any(axis=1) & ~prediction.is_converged
+        if lost.any():
+            _, held, _ = self.held.predict(theta)
+            jacobian = np.where(lost[:, None, None], held, jacobian)
+        rows = self.rows(jacobian)
+        return np.concatenate([rows, np.zeros((self.laxity.n, rows.shape[1]))])
+
+    @property
+    def _far(self) -> Array:
+        """Size of a trial's residuals at the farthest that an equilibrium may be, ``(n,)``."""
+        far = np.where(self.laxity.is_measured, FARTHEST, 0.0)
+        if self.weighting == "noise":
+            far = np.einsum("nij,nj->ni", self._whitening, far)
+        return np.linalg.norm(far, axis=1)
 
     def differences(self, theta: Array) -> Array:
         """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""

@@ -17,7 +17,7 @@ import numpy as np
 from identknee.mechanics.contact_points import contact_motion_columns
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import line_gradients
-from identknee.mechanics.memory import CONVERGED, Equilibria
+from identknee.mechanics.memory import Equilibria
 from identknee.model.mechanics_inputs import (
     MechanicsInputs,
     motions,
@@ -559,7 +559,12 @@ class EffectStack:
         return coordinates
 
     def pose_columns(
-        self, settings: Sequence[MechanicsInputs], values: Array, found: Equilibria, nodes: IntArray
+        self,
+        settings: Sequence[MechanicsInputs],
+        values: Array,
+        found: Equilibria,
+        nodes: IntArray,
+        is_at_rest: BoolArray,
     ) -> Array:
         """Derivatives of the poses by the amplitudes, shape ``(n, 5, a)``; NaN without a pose.
 
@@ -573,10 +578,12 @@ class EffectStack:
             The equilibria at the nodes, made under a stated contact law.
         nodes
             The node of each trial, shape ``(n,)``.
+        is_at_rest
+            Whether the knee is in equilibrium at each node, alone or held by a spring.
         """
         columns = -gradient_columns(self._mechanical, settings, values, self._steps, found, nodes)
-        # Where no equilibrium was found the Hessian may be singular.
-        has_pose = found.codes[nodes] == CONVERGED
+        # Where no equilibrium was found, and no spring holds the knee, the Hessian may be singular.
+        has_pose = is_at_rest[nodes]
         columns[~has_pose] = np.nan
         # Inverting matrices so small takes a third of the time that solving with them does.
         columns[has_pose] = np.linalg.inv(found.hessians[nodes][has_pose]) @ columns[has_pose]
