@@ -104,5 +104,4 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests of what is said of the table, whatever was found.
     """
-    monkeypatch.setattr("identknee.checks.usable_trials.MOST_ROUNDS", 1)
-    monkeypatch.setattr("identknee.checks.usable_trials.BUDGET", 5)
+    monkeypatch.setattr("identknee.checks.usable_trials.BUDGET", 40)

@@ -1,12 +1,11 @@
 """Checks of a fit: misfit, bounds, starts, forces that no knee has; and all checks in one pass."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc
 
-from identknee.calibrate.fit import Fit, fit, named_start, start_names
 from identknee.calibrate.problem import Problem, evaluate, typical_steps
 from identknee.checks.subject_checks import rim_findings, stability_findings
 from identknee.checks.table_checks import (
@@ -33,12 +32,9 @@ from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
-from identknee.runs.declare import declared
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
-from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
-    capitalised,
     error_words,
     label_without_unit,
     listed,
@@ -207,106 +203,6 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
     )
     values = {"n_starts": k, "rise_of_next": others.min() if others.size else None}
     return (finding("lowest-found-once", "starts", values, sentence=sentence),)
-
-
-@declared
-class AlternativeFit:
-    """Where least squares from another start ended.
-
-    Attributes
-    ----------
-    name
-        Name of the start, as for `identknee.calibrate.fit.named_start`.
-    first, second
-        The doubtful fit, and the one from this start.
-    """
-
-    name: str
-    first: Fit
-    second: Fit
-
-    @property
-    def is_better(self) -> bool:
-        """Whether the second search ended at a lower misfit."""
-        first, second = self.first.objective, self.second.objective
-        return self.second.outcome is not Outcome.START_FAILED and second < first - _alike(first)
-
-    @property
-    def finding(self) -> Finding:
-        """Whether both agree."""
-        first, second = self.first.objective, self.second.objective
-        if self.second.outcome is Outcome.START_FAILED:
-            sentence = f"No second search: at {self.name} there is no prediction either."
-            return finding("no-second-search", "starts", {"start": self.name}, sentence=sentence)
-        ended = f"a second search, least squares from {self.name}, ended"
-        objectives = f"(objective {second:.4g}, here {first:.4g})"
-        values = {"start": self.name, "objective": first, "second_objective": second}
-        if self.is_better:
-            code = "lower-misfit-elsewhere"
-            sentence = (
-                f"Starts disagree: {ended} at a lower misfit {objectives}, so this fit is not the "
-                "best. identknee sweep tries many starts."
-            )
-        elif second > first + _alike(first):
-            code = "starts-disagree"
-            sentence = (
-                f"Starts disagree: {ended} at a higher misfit {objectives}. identknee sweep tries "
-                "many starts."
-            )
-        else:
-            moved = np.abs(self.second.theta - self.first.theta)
-            steps = moved / typical_steps(self.first.parameters)
-            i = int(np.argmax(steps))
-            if steps[i] > APART:
-                code, name = "starts-disagree", self.first.parameters.names[i]
-                values |= {"parameters": [name]}
-                both = two_values_words(name, self.first.theta[i], self.second.theta[i])
-                sentence = (
-                    f"Starts disagree: {ended} at the same misfit with other parameters ({both}). "
-                    "See: identknee profile"
-                )
-            else:
-                code = "start-confirmed"
-                sentence = (
-                    f"{capitalised(ended)} at the same parameters: the start is not the reason."
-                )
-        return finding(code, "starts", values, sentence=sentence)
-
-
-def _alike(objective: float) -> float:
-    return ALIKE * objective + ROUNDING
-
-
-def fit_from_alternative_start(problem: Problem, first: Fit) -> AlternativeFit:
-    """Least squares from the first named start that is not the one of a fit.
-
-    Parameters
-    ----------
-    problem
-        That of the fit.
-    first
-        The fit; its fixed parameters and its priors are kept.
-    """
-    name, start = _alternative_start(first)
-    second = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
-    return AlternativeFit(name=name, first=first, second=second)
-
-
-def _alternative_start(first: Fit) -> tuple[str, Array]:
-    """A start by name with a free parameter elsewhere; the middle of the bounds failing that."""
-    parameters = first.parameters
-    free = parameters.with_fixed(first.fixed, first.start)
-    for name in start_names():
-        try:
-            guess = named_start(name, parameters)
-        except ValueError:
-            # The guesses of the paper speak of four ligaments that a knee need not have.
-            continue
-        start = free.expand(free.restrict(np.clip(guess, parameters.lower, parameters.upper)))
-        if not np.allclose(start, first.start):
-            return name, start
-    middle = 0.5 * (parameters.lower + parameters.upper)
-    return "the middle of the bounds", free.expand(free.restrict(middle))
 
 
 def infeasible_proportion(
@@ -532,14 +428,11 @@ class Fitted:
 def check_fit(
     fitted: Fitted,
     others: Sequence[Finding] = (),
-    *,
-    second: Callable[[], AlternativeFit] | None = None,
 ) -> tuple[Finding, ...]:
     """What speaks against a fit, the gravest first.
 
     Where the misfit is more than noise, or a bound is active, conventions of the table are looked
     at first: a broken one explains trials that contradict one another, which are then not listed.
-    Where none is broken, a second search tells a bad start from bad data.
 
     Parameters
     ----------
@@ -547,8 +440,6 @@ def check_fit(
         The fit.
     others
         What else was found, such as trials lost and starts that disagree.
-    second
-        Makes the second search; None where the fit is the best of several already.
     """
     model, laxity, theta = fitted.model, fitted.laxity, fitted.prediction.theta
     found = [
@@ -560,14 +451,8 @@ def check_fit(
     ]
     table = table_findings(model, fitted.table)
     is_doubtful = any(x.severity is not Severity.INFO for x in fitted.misfit)
-    if is_doubtful:
-        if conventions := convention_findings(model, laxity, fitted.start, theta):
-            return without_repeats((*conventions, *table, *found))
-        if second is not None:
-            search = second()
-            # What an end that is not the best leaves says nothing of data and model.
-            found = [x for x in found if not search.is_better or x not in fitted.misfit]
-            found.append(search.finding)
+    if is_doubtful and (conventions := convention_findings(model, laxity, fitted.start, theta)):
+        return without_repeats((*conventions, *table, *found))
     rows = row_findings(model, laxity, theta, fixed=fitted.held)
     # Trials that the table alone contradicts, where fits begin at its poses.
     named = {x.where for x in rows}

@@ -1,23 +1,18 @@
 """Which measured trials a fit can use, and a start at which as many as possible have equilibrium.
 
-A trial without equilibrium is first fitted at the fraction of its load that the model can carry,
-which moves the parameters to where it carries more. One that never reaches its load is left out.
+A trial without equilibrium is held near its measured pose by a spring, and a fit moves the
+parameters to where it holds the pose by itself. One that never does is left out.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
-from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
     BoundedProblem,
-    Evaluation,
-    Evaluator,
     Problem,
-    restricted,
     with_bounds,
     with_nuisance_priors,
     without_priors,
@@ -26,6 +21,7 @@ from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
+from identknee.model.held_trials import HeldTrials
 from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.residuals import LaxityResiduals, Weighting
@@ -35,168 +31,9 @@ from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
-MOST_ROUNDS = 8
-# Tolerance on the deviance, and the fall of it that is worth another round or a trial excluded.
-TOLERANCE, WORTH = 1e-3, 1.0
-# Shares of the step that the linear model wants. At the small ones a misfit that rises has jumped.
-JUMPS, STEP_SHARES = (1e-4, 1e-3, 1e-2), (1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0)
-# Share of the fall promised by which the misfit of a trial rises where it jumps.
-A_JUMP = 0.1
-# Confidence with which a trial must contradict the others to be left out.
-LEVEL = 0.95
-MOST_NAMES = 4
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExclusionResult:
-    """Where a search ended that excluded trials and reinstated them.
-
-    Attributes
-    ----------
-    theta
-        Where, shape ``(p,)``.
-    is_excluded
-        Which trials could not be reinstated, shape ``(n,)``.
-    was_excluded
-        Which trials were excluded on the way, shape ``(n,)``.
-    """
-
-    theta: Array
-    is_excluded: BoolArray
-    was_excluded: BoolArray
-
-    def sentence(self, trials: Sequence[str]) -> str:
-        """The exclusion as a sentence, with the names of the trials."""
-        if not self.was_excluded.any():
-            return "Least squares from the start stopped where load paths end, and went on beyond."
-        names = [trials[i] for i in np.flatnonzero(self.was_excluded).tolist()]
-        more = len(names) - MOST_NAMES
-        others = f" and {more} more trials" if more > 0 else ""
-        return (
-            "Along the way from the start the model jumps or loses equilibrium in "
-            f"{', '.join(names[:MOST_NAMES])}{others}. These trials were excluded until the others "
-            "were fitted, then reinstated where an equilibrium exists."
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrialExclusion:
-    """Least squares that a few trials cannot stop short of the best fit to all others.
-
-    A search ends where a load path folds or the knee becomes loose, however bad the fit is there.
-    Trials to which that happens are excluded until the others are fitted.
-
-    Attributes
-    ----------
-    compared
-        The model and all data.
-    problem
-        The problem of some of the data.
-    expand
-        The parameters of the model from those of the problem.
-    """
-
-    compared: LaxityResiduals
-    problem: Callable[[Laxity], Problem]
-    expand: Callable[[Array], Array]
-
-    def run(self, start: Array) -> ExclusionResult | None:
-        """Where the search from `start` ends; None where no trial keeps it from a lower misfit.
-
-        Trials without equilibrium at the start are reinstated where the fit to the others has one.
-        """
-        out = was_excluded = self._has_lost_trials(start)
-        best = first = self._search(start, out)
-        if out.any() and best.evaluation.is_finite:
-            out = out & self._has_lost_trials(best.evaluation.theta)
-            best = self._search(best.evaluation.theta, out)
-        for _ in range(MOST_ROUNDS):
-            if best.outcome is Outcome.START_FAILED:
-                break
-            # The search continued without the trials that stop it.
-            beyond, aside = best, out
-            for _ in range(MOST_ROUNDS):
-                stopping, begin = self._blocking_trials(beyond.evaluation, aside)
-                if not stopping.any() and begin is beyond.evaluation.theta:
-                    break
-                aside = aside | stopping
-                beyond = self._search(begin, aside)
-            if beyond is best:
-                break
-            was_excluded = was_excluded | aside
-            lost = out | self._has_lost_trials(beyond.evaluation.theta)
-            again = self._search(beyond.evaluation.theta, lost)
-            if (lost & ~out).any() and not self._contradicts(best, again, out, lost):
-                break
-            if again.evaluation.deviance > best.evaluation.deviance - WORTH:
-                break
-            best, out = again, lost
-        if best is first:
-            return None
-        return ExclusionResult(
-            theta=best.evaluation.theta, is_excluded=out, was_excluded=was_excluded
-        )
-
-    def _search(self, start: Array, aside: BoolArray) -> ConstrainedFit:
-        return minimise(self._evaluator(aside), start, tolerance=TOLERANCE)
-
-    def _evaluator(self, aside: BoolArray) -> Evaluator:
-        laxity = self.compared.laxity
-        coordinates = np.where(aside[:, None], np.nan, laxity.coordinates)
-        return Evaluator(self.problem(replace(laxity, coordinates=coordinates)))
-
-    def _blocking_trials(self, at: Evaluation, aside: BoolArray) -> tuple[BoolArray, Array]:
-        """The trials whose misfit ends or jumps along the step that fits the others best.
-
-        And where to go on: at the lowest point along that step where none does, else from here.
-        """
-        step = -np.linalg.lstsq(at.jacobian, at.residuals, rcond=None)[0]
-        after = at.residuals + at.jacobian @ step
-        promised = at.deviance - float(after @ after)
-        stopping, lowest, start = np.zeros(aside.size, bool), at.deviance - WORTH, at.theta
-        if promised < WORTH:
-            return stopping, start
-        evaluator = self._evaluator(aside)
-        parameters, here = evaluator.parameters, self._misfits(at.theta)
-        for share in STEP_SHARES:
-            theta = np.clip(at.theta + share * step, parameters.lower, parameters.upper)
-            # An excluded trial may have no pose on either side.
-            rise = np.where(aside, 0.0, self._misfits(theta)) - np.where(aside, 0.0, here)
-            if not np.isfinite(rise).all():
-                return ~np.isfinite(rise), at.theta
-            if share in JUMPS and rise.max() > A_JUMP * promised:
-                return rise > A_JUMP * promised, at.theta
-            if (deviance := evaluator.deviance(theta)) < lowest:
-                lowest, start = deviance, theta
-        return stopping, start
-
-    def _misfits(self, theta: Array) -> Array:
-        """Squared differences of each trial with data, infinite without equilibrium, ``(n,)``."""
-        laxity = self.compared.laxity
-        differences = self.compared.differences(self.expand(theta))
-        if laxity.sd is not None:
-            differences = differences / laxity.sd
-        squares = np.where(laxity.is_measured, differences**2, 0.0).sum(axis=1)
-        return np.where(np.isnan(squares), np.inf, squares)
-
-    def _has_lost_trials(self, theta: Array) -> BoolArray:
-        return np.isinf(self._misfits(theta))
-
-    def _contradicts(
-        self, best: ConstrainedFit, without: ConstrainedFit, out: BoolArray, lost: BoolArray
-    ) -> bool:
-        """Whether the trials `lost` cost more misfit than so many values of the others have."""
-        measured = self.compared.laxity.is_measured
-        n, n_lost = int(measured[~lost].sum()), int(measured[lost & ~out].sum())
-        scale = without.evaluation.deviance / max(n - without.evaluation.theta.size, 1)
-        cost = best.evaluation.deviance - without.evaluation.deviance
-        return bool(cost > scale * chdtri(n_lost, 1.0 - LEVEL))
-
-
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
-SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 BUDGET = 300
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
@@ -260,83 +97,43 @@ class TrialSearch:
     def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
 
-        Where trials have no equilibrium at the start, searches go from there; where the model
-        begins at measured poses also from reference strains by the lengths of the ligaments there.
-        Where no trial carries even its compression anywhere, all trials stay.
+        Where trials have no equilibrium at the start, least squares goes from there with these
+        trials held at their measured poses; where some are still held at its end, also from
+        reference strains by the lengths of the ligaments in measured poses. Where no trial has an
+        equilibrium anywhere, all trials stay.
         """
         said = path_findings(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
-        used = self._past_stops(TrialSelection(laxity=self.laxity, start=start, sentences=said))
-        if not lost.any() or (used.start is not start and len(used.names) == self.measured.sum()):
-            return used
-        # Starts in words, and theta there, at which some trial carries a load.
-        begun = [("the given start", start)]
-        if self.model.poses is not None:
-            of_each = "% of strain at the longest measured length of each ligament"
-            begun += [(f"{100 * x:.0f} {of_each}", self._stretched(start, x)) for x in STRETCHES]
-        beginnings = progress(
-            [x for x in begun if (self._load_fraction_reached(x[1]) >= 0.0).any()],
-            description="looking for a start at which all trials have an equilibrium",
-        )
-        made = {x: self._refit_with_reinstated_trials(y) for x, y in beginnings}
-        if not made:
+        if not lost.any():
             return TrialSelection(laxity=self.laxity, start=start, sentences=said)
-        best = max(made, key=lambda x: self._start_rank(made[x].theta))
+        # Starts in words, and the fit from each.
+        made = {"the given start": self._fit_from(start)}
+        if self.model.poses is not None and not self._has_all(made["the given start"].theta):
+            of_each = "% of strain at the longest measured length of each ligament"
+            others = progress(
+                [(f"{100 * x:.0f} {of_each}", self._stretched(start, x)) for x in STRETCHES],
+                description="looking for a start at which all trials have an equilibrium",
+            )
+            made |= {words: self._fit_from(theta) for words, theta in others}
+        best = min(made, key=lambda x: made[x].objective)
         theta = made[best].theta
+        laxity = self.with_equilibrium(theta)
+        if not laxity.is_measured.any():
+            return TrialSelection(laxity=self.laxity, start=start, sentences=said)
         of_many = f", the best of {len(made)} such starts" if len(made) > 1 else ""
         sentence = (
             f"At the start {lost.sum()} of {self.measured.sum()} measured trials had no "
-            f"equilibrium. The fit began from {best}{of_many}. These trials were first "
-            "fitted at the fraction of the load that the model could carry, then at full load "
+            f"equilibrium. The fit began from {best}{of_many}. These trials were held near their "
+            "measured poses by a spring until they had an equilibrium without it "
             f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
-        return self._past_stops(
-            TrialSelection(
-                laxity=self.with_equilibrium(theta),
-                start=theta,
-                sentences=(*said, sentence),
-            )
-        )
-
-    def _past_stops(self, used: TrialSelection) -> TrialSelection:
-        """The trials used and a start past those that would stop a search from there.
-
-        Where the knee is exact its load paths are part of the model, and so are their ends.
-        """
-        if self.model.fallback_poses is None:
-            return used
-        free = self.problem(self.laxity).parameters.with_fixed(self.fixed, used.start)
-        search = TrialExclusion(
-            compared=LaxityResiduals(model=self.model, laxity=self.laxity),
-            problem=lambda part: restricted(self.problem(part), self.fixed, used.start),
-            expand=free.expand,
-        )
-        beyond = search.run(free.restrict(used.start))
-        if beyond is None:
-            return used
-        return replace(
-            used,
-            laxity=_with_blank_trials(self.laxity, beyond.is_excluded),
-            start=free.expand(beyond.theta),
-            sentences=(*used.sentences, beyond.sentence(self.laxity.protocol.trials)),
-        )
+        return TrialSelection(laxity=laxity, start=theta, sentences=(*said, sentence))
 
     def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[TrialSelection, Fit]:
-        """The trials used and the fit to them by `search`, again where it brings trials back."""
-        used, found = self.refitted(self.used(start), search)
+        """The trials used, and the fit to them by `search`."""
+        used = self.used(start)
+        found = search(self.problem(used.laxity), used.start, fixed=self.fixed)
         return used, replace(found, start=start)
-
-    def refitted(
-        self, used: TrialSelection, search: Callable[..., Fit]
-    ) -> tuple[TrialSelection, Fit]:
-        """The fit to the trials used, and to those it brings back until it brings back none."""
-        for _ in range(MOST_ROUNDS):
-            found = search(self.problem(used.laxity), used.start, fixed=self.fixed)
-            back = self.with_equilibrium(found.theta)
-            if len(trial_names(back)) <= len(used.names):
-                break
-            used = replace(used, laxity=back, start=found.theta)
-        return used, found
 
     @property
     def measured(self) -> BoolArray:
@@ -359,6 +156,11 @@ class TrialSearch:
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(residuals, self.bounds))
 
+    def problem_everywhere(self, laxity: Laxity) -> Problem:
+        """The same; a trial without equilibrium is held near its measured pose."""
+        residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
+        return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
+
     def _stretched(self, start: Array, stretch: float) -> Array:
         """Theta with reference strains as the measured poses have them, kept to the bounds."""
         parameters = self.problem(self.laxity).parameters
@@ -371,41 +173,18 @@ class TrialSearch:
         theta[held] = start[held]
         return theta
 
-    def _refit_with_reinstated_trials(self, theta: Array) -> Fit:
-        """The best of a few fits, each at the load fractions reached where the last one ended.
+    def _fit_from(self, start: Array) -> Fit:
+        problem = self.problem_everywhere(self.laxity)
+        return fit(problem, start, budget=BUDGET, fixed=self.fixed)
 
-        The last one is where all trials reach their load, or reach no more than before.
-        """
-        made: list[Fit] = []
-        known: list[list[float]] = []
-        for _ in range(MOST_ROUNDS):
-            shares = self._load_fraction_reached(theta)
-            if shares.tolist() in known:
-                break
-            known.append(shares.tolist())
-            part = _with_blank_trials(_under(self.laxity, np.maximum(shares, 0.0)), shares < 0.0)
-            found = fit(self.problem(part), theta, budget=BUDGET, fixed=self.fixed)
-            made.append(found)
-            theta = found.theta
-        best = max(made, key=lambda x: self._start_rank(x.theta))
-        return replace(best, n_simulations=sum(x.n_simulations for x in made))
+    def _has_all(self, theta: Array) -> bool:
+        return bool(self.has_equilibrium(theta)[self.measured].all())
 
-    def _load_fraction_reached(self, theta: Array) -> Array:
-        """The largest fraction of its load that each trial reaches, -1 for none, shape ``(n,)``."""
-        borne = np.full(self.laxity.n, -1.0)
-        for share in SHARES:
-            part = _under(self.laxity, np.full(self.laxity.n, share))
-            bears = self.model.with_tests(part).predict(theta, derivatives=False).is_converged
-            borne[bears & (borne < 0.0)] = share
-            if (borne >= 0.0).all():
-                break
-        return borne
 
-    def _start_rank(self, theta: Array) -> tuple[int, float]:
-        """How many trials have an equilibrium, then how well they fit."""
-        used = self.with_equilibrium(theta)
-        residuals = self.problem(used).residuals(theta)
-        return int(used.is_measured.any(axis=1).sum()), -float(residuals @ residuals)
+def defined_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
+    """The residuals, also where trials have no equilibrium: they are held near measured poses."""
+    held = HeldTrials(model=residuals.model, laxity=residuals.laxity)
+    return replace(residuals, held=held)
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
@@ -479,13 +258,6 @@ def _with_blank_trials(laxity: Laxity, lost: BoolArray) -> Laxity:
     if not lost.any():
         return laxity
     return replace(laxity, coordinates=np.where(lost[:, None], np.nan, laxity.coordinates))
-
-
-def _under(laxity: Laxity, shares: Array) -> Laxity:
-    """The data at fractions of the loads; compression stays, as it held."""
-    if np.all(shares == 1.0):
-        return laxity
-    return replace(laxity, protocol=laxity.protocol.under(shares))
 
 
 def trial_names(laxity: Laxity) -> tuple[str, ...]:

@@ -1,9 +1,11 @@
 """The best fit from which identifiability is analysed, the noise it leaves, its nuisances."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
-from identknee.calibrate.fit import Fit, fit, fit_many
+from identknee.calibrate.fit import Fit, FitSettings, fit, fit_many
 from identknee.calibrate.problem import (
     RANK_TOLERANCE,
     Problem,
@@ -62,17 +64,54 @@ def best_fits(
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_within_bounds(first, parameters)
-    points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
-    around = fit_many(problem, points, seed=seed, executor=executor, budget=budget)
-    begun = [fit(problem, first, seed=seed, budget=budget), *around]
-    fits = sorted(begun, key=lambda one: one.objective)
+    begun = fit(problem, first, seed=seed, budget=budget)
+    fits = with_fits_around(problem, begun, N_STARTS, executor=executor, budget=budget)
     if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
             "see: identknee subject check"
         )
+    return fits
+
+
+def with_fits_around(
+    problem: Problem,
+    first: Fit,
+    n: int,
+    *,
+    executor: Executor = serial,
+    budget: int | None = None,
+) -> tuple[Fit, ...]:
+    """A fit and those from `n` points around its start, from low to high.
+
+    The points are of a Sobol sequence within two prior standard deviations of the start.
+
+    Parameters
+    ----------
+    problem
+        That of the fit.
+    first
+        The fit. Its seed, its fixed parameters and its use of priors are theirs too.
+    n
+        Number of points.
+    executor
+        Anything with an ordered ``map``.
+    budget
+        Simulations allowed for each; only the lowest goes on to its end.
+    """
+    parameters, seed = problem.parameters, first.seed
+    points = sobol_around(parameters, first.start, n, reach=REACH, seed=seed)
+    held = [parameters.index(x) for x in first.fixed]
+    points[:, held] = first.start[held]
+    how: FitSettings = {"fixed": first.fixed, "priors": first.priors}
+    brief: FitSettings = {"budget": budget, **how}
+    around = fit_many(problem, points, seed=seed, executor=executor, **brief)
+    fits = sorted([first, *around], key=lambda one: one.objective)
     if budget is not None and fits[0].outcome is Outcome.BUDGET:
-        fits[0] = fit(problem, fits[0].theta, seed=seed)
+        further = fit(problem, fits[0].theta, seed=seed, **how)
+        fits[0] = replace(
+            further, start=fits[0].start, n_simulations=budget + further.n_simulations
+        )
     return tuple(fits)
 
 

@@ -69,5 +69,7 @@ class HeldTrials:
         stiffer = np.searchsorted(-LEVELS, -found.released)
         # Nothing holds it: it is as if it stood where it is held, whatever the parameters are.
         coordinates = np.where(is_held[:, None], found.held_coordinates, self.laxity.coordinates)
+        if found.held_jacobian is None:  # pragma: no cover - it was asked for
+            raise AssertionError
         jacobian = np.where(is_held[:, None, None], found.held_jacobian, 0.0)
         return coordinates, jacobian, 1.0 + STEP * np.where(is_held, stiffer, LEVELS.size)

@@ -138,7 +138,7 @@ class LaxityResiduals:
         far = np.where(self.laxity.is_measured, FARTHEST, 0.0)
         if self.weighting == "noise":
             far = np.einsum("nij,nj->ni", self._whitening, far)
-        return np.linalg.norm(far, axis=1)
+        return np.asarray(np.linalg.norm(far, axis=1))
 
     def differences(self, theta: Array) -> Array:
         """Measured less predicted coordinates, shape ``(n, 5)``; NaN where either is missing."""

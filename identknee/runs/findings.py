@@ -226,14 +226,6 @@ _ALL = (
         invalidates=True,
     ),
     FindingKind(
-        code="lower-misfit-elsewhere",
-        severity=ERROR,
-        about=About.STARTS,
-        meaning="A second search, from another start, ended at a lower misfit: this fit is not the "
-        "best.",
-        remedy="Run identknee sweep, which tries many starts.",
-    ),
-    FindingKind(
         code="starts-disagree",
         severity=WARNING,
         about=About.STARTS,
@@ -248,19 +240,6 @@ _ALL = (
         about=About.STARTS,
         meaning="Only one of several starts ended at the lowest misfit, so a lower one may exist.",
         remedy="Run identknee sweep.",
-    ),
-    FindingKind(
-        code="start-confirmed",
-        severity=INFO,
-        about=About.STARTS,
-        meaning="A second search ended at the same parameters: the start is not the reason for the "
-        "misfit.",
-    ),
-    FindingKind(
-        code="no-second-search",
-        severity=INFO,
-        about=About.STARTS,
-        meaning="No second search was made: its start has no prediction either.",
     ),
     FindingKind(
         code="trials-lost",
@@ -645,9 +624,9 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
 
     Examples
     --------
-    >>> about = finding("start-confirmed", "starts", sentence="The start is not the reason.")
+    >>> about = finding("lowest-found-once", "starts", sentence="Only one start ended there.")
     >>> finding_lines([about, finding("no-set-converges", "trials")])[-1]
-    'The start is not the reason.'
+    'Warning: Only one start ended there.'
     """
     return [x.line for x in by_severity(findings)]
 

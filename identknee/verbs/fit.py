@@ -11,14 +11,14 @@ from scipy.special import stdtrit
 
 from identknee.calibrate.fit import DEGREES, Fit, fit_student, load_start, student_scales
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import Problem, evaluate
+from identknee.calibrate.problem import ROUNDING, Problem, evaluate
 from identknee.checks.fit_checks import (
     Fitted,
     bound_findings,
     check_fit,
     check_unfitted,
-    fit_from_alternative_start,
     misfit_findings,
+    start_findings,
     too_few_findings,
     unstated_misfit_findings,
 )
@@ -31,7 +31,7 @@ from identknee.checks.usable_trials import (
     table_model,
     unfitted_findings,
 )
-from identknee.identify.optimum import nuisance_estimates
+from identknee.identify.optimum import N_STARTS, nuisance_estimates, with_fits_around
 from identknee.laxity.protocol import ABSOLUTE
 from identknee.laxity.table import (
     COORDINATES,
@@ -56,7 +56,7 @@ from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.verbs import options
-from identknee.verbs.identification import with_noise
+from identknee.verbs.identification import BRIEF, with_noise
 from identknee.verbs.options import option
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
@@ -399,11 +399,19 @@ def fit(
             metavar="TRIAL",
         ),
     ] = None,
+    more_starts: Annotated[
+        int,
+        option(
+            "Further searches by least squares from points around the start; the lowest end is the "
+            "fit. 0 for the search from the start alone.",
+            least=0,
+        ),
+    ] = N_STARTS,
     continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     seed: options.Seed = 0,
     **_: Unpack[options.KneeOptions],
 ) -> Calibration:
-    """One parameter set fitted to measured laxity from one start.
+    """One parameter set fitted to measured laxity: the lowest end of a few searches.
 
     Writes the fitted parameters, the error that is left and how the search ended to result.json.
     The folder fitted holds the subject with the parameters and errors found, for use with other
@@ -433,6 +441,17 @@ def fit(
     is_robust = likelihood == "student"
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
+    fits: tuple[Fit, ...] = (found,)
+    if more_starts and not is_robust and method == "least-squares":
+        budget_of_each = BRIEF if problem.parameters.nuisance_names else budget
+        fits = with_fits_around(
+            trials.problem_everywhere(used.laxity),
+            replace(found, start=used.start),
+            more_starts,
+            executor=run.executor,
+            budget=budget_of_each,
+        )
+        found = fits[0]
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
         Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
@@ -457,7 +476,7 @@ def fit(
         assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=_findings(trials, used, found, prediction, error),
+        findings=_findings(trials, used, fits, prediction, error),
     )
 
 
@@ -482,11 +501,12 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
 def _findings(
     trials: TrialSearch,
     used: TrialSelection,
-    found: Fit,
+    fits: Sequence[Fit],
     prediction: Prediction,
     error: LaxityError,
 ) -> tuple[Finding, ...]:
-    """Findings about a fit."""
+    """Findings about a fit, the first of several."""
+    found, scale = fits[0], 1.0
     model, table, laxity = trials.model, trials.laxity, used.laxity
     lost = excluded_trial_findings(model.knee, table, laxity)
     if found.outcome is Outcome.START_FAILED:
@@ -498,6 +518,8 @@ def _findings(
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
+        degrees = max(int(laxity.is_measured.sum()) - n_free, 1)
+        scale = max(found.deviance / degrees, ROUNDING)
     held = (*found.fixed, *found.parameters.nuisance_names)
     fitted = Fitted(
         model=model,
@@ -509,7 +531,9 @@ def _findings(
         misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
     )
     few = too_few_findings(int(laxity.is_measured.sum()), n_free)
-    problem = trials.problem(laxity)
-    return check_fit(
-        fitted, (*lost, *few), second=lambda: fit_from_alternative_start(problem, found)
+    starts = start_findings(
+        np.array([x.theta for x in fits]),
+        np.array([x.deviance for x in fits]) / scale,
+        found.parameters,
     )
+    return check_fit(fitted, (*lost, *few, *starts))

@@ -10,6 +10,7 @@ from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
     Problem,
     RestrictedProblem,
+    WhitenedResiduals,
     restricted,
     with_bounds,
     with_nuisance_priors,
@@ -27,6 +28,7 @@ from identknee.checks.fit_checks import (
 from identknee.checks.usable_trials import (
     TrialSearch,
     blank_cell_findings,
+    defined_everywhere,
     excluded_trial_findings,
     prediction_finding,
     table_model,
@@ -68,6 +70,10 @@ class Identification:
     laxity: Laxity = entry("The data")
     model: LaxityModel = entry("The model under the protocol of the data")
     problem: Problem = entry("Residuals in units of their noise, over the parameters not fixed")
+    everywhere: Problem = entry(
+        "The same for searches that begin anywhere: where measured poses are known, a trial "
+        "without equilibrium is held near its own"
+    )
     free: FreeParameters = entry(
         "The parameters of the problem, and the values of those of the model that are fixed"
     )
@@ -236,7 +242,10 @@ def identification(
             )
         residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
     part = restricted(with_bounds(residuals, limits), fixed or (), theta)
-    problem = with_nuisance_priors(part)
+    problem = everywhere = with_nuisance_priors(part)
+    if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
+        searched = with_bounds(defined_everywhere(residuals), limits)
+        everywhere = with_nuisance_priors(restricted(searched, fixed or (), theta))
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
@@ -245,6 +254,12 @@ def identification(
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem, degrees = estimate.problem, estimate.degrees_of_freedom
+        everywhere = problem
+        if begins_at_poses:
+            inner = restricted(searched, fixed or (), theta)
+            sds = np.array(sizes, float)[residuals.units]
+            sds = np.r_[sds, np.full(laxity.n, sds.min())]
+            everywhere = with_nuisance_priors(WhitenedResiduals(problem=inner, sd=sds))
         shown = ", ".join(
             f"{sd:.3g} {unit}"
             for sd, unit in zip(sizes, ("mm", "deg"), strict=True)
@@ -260,6 +275,7 @@ def identification(
         laxity=laxity,
         model=model,
         problem=problem,
+        everywhere=everywhere,
         free=part.free,
         start=part.free.restrict(theta),
         degrees_of_freedom=degrees,
@@ -310,7 +326,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     budget = BRIEF if setup.problem.parameters.nuisance_names else None
     try:
         return find_best_fits(
-            setup.problem, start=setup.start, seed=seed, executor=executor, budget=budget
+            setup.everywhere, start=setup.start, seed=seed, executor=executor, budget=budget
         )
     except ValueError as error:
         raise no_prediction(setup) from error

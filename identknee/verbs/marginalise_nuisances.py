@@ -73,9 +73,11 @@ def _about(setup: Identification, best: Array) -> Identification:
         f"{setup.problem.parameters.n - len(asked)} stated errors were marginalised to first "
         f"order at the best fit, which predictions use. {_nonlinearity(setup, residuals, theta)}"
     )
+    problem = restricted(bounded, fixed, kept.restrict(theta))
     return replace(
         setup,
-        problem=restricted(bounded, fixed, kept.restrict(theta)),
+        problem=problem,
+        everywhere=problem,
         free=free,
         start=free.restrict(theta),
         nuisances_at=(setup.problem, best),

@@ -138,7 +138,7 @@ def sweep(
         },
     ):
         searches = searched(
-            setup.problem,
+            setup.everywhere,
             starts,
             method=method,
             budget=budget,
@@ -146,7 +146,7 @@ def sweep(
             executor=run.executor,
             store=run.store,
         )
-        survey = surveyed(setup.problem, searches, within=within)
+        survey = surveyed(setup.everywhere, searches, within=within)
         cliffs = _cliffs(run, setup, survey, paths)
     return Sweep(
         design=design,

@@ -1,16 +1,11 @@
 """What a fit says against itself: misfit, bounds, starts that disagree."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from identknee.calibrate.fit import Fit, fit
 from identknee.checks.fit_checks import (
-    AlternativeFit,
     bound_findings,
-    fit_from_alternative_start,
     misfit_findings,
     parameters_at_zero,
     start_findings,
@@ -19,7 +14,6 @@ from identknee.checks.fit_checks import (
 )
 from identknee.checks.table_checks import IMPROBABLE
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity, by_severity, finding_lines
 from identknee.runs.schema import summary_of
 
@@ -130,65 +124,3 @@ def test_terminal_and_file_show_the_gravest_first() -> None:
     stored = [summary_of(x) for x in by_severity(findings)]
     assert [x["code"] for x in stored] == ["misfit-gross", "misfit-improbable", "noise-unstated"]
     assert stored[1]["values"]["chi_square"] == 150.0
-
-
-class TwoWells:
-    """A problem with one parameter and two minima: 8 kN exactly, and one near 30 kN by `floor`."""
-
-    def __init__(self, parameters: Parameters, floor: float) -> None:
-        self.parameters = parameters
-        self._floor = floor
-
-    def residuals(self, theta: Array) -> Array:
-        x = theta[0]
-        return np.array([(x - 8.0) * (x - 30.0) / 50.0, self._floor * (x - 8.0) / 22.0])
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.array([[(2.0 * theta[0] - 38.0) / 50.0], [self._floor / 22.0]])
-
-
-@pytest.mark.parametrize(
-    ("start", "floor", "code"),
-    [
-        (35.0, 0.5, "lower-misfit-elsewhere"),
-        (5.0, 0.0, "start-confirmed"),
-        (35.0, 0.0, "starts-disagree"),
-    ],
-)
-def test_a_second_search_says_whether_both_agree(
-    parameters: Parameters, start: float, floor: float, code: str
-) -> None:
-    problem = TwoWells(parameters.select(NAMES[:1]), floor)
-    again = fit_from_alternative_start(problem, fit(problem, [start]))
-    # The knee has no PCL, LCL and MCL, so no guess of the paper; its own value is left.
-    assert again.name == "subject"
-    found = again.finding
-    assert (found.code, found.where) == (code, "starts")
-    assert again.is_better is (found.severity is Severity.ERROR)
-    if code == "starts-disagree":
-        assert found.values["parameters"] == [NAMES[0]]
-
-
-def test_a_second_search_that_ends_higher_is_a_disagreement(parameters: Parameters) -> None:
-    problem = TwoWells(parameters.select(NAMES[:1]), 0.0)
-    first = fit(problem, [5.0])
-    worse: Fit = replace(first, objective=2.0)
-    found = AlternativeFit(name="IG1", first=replace(first, objective=1.0), second=worse).finding
-    assert found.code == "starts-disagree"
-    expected = {"start": "IG1", "objective": 1.0, "second_objective": 2.0}
-    assert dict(found.values) == expected
-
-
-def test_the_second_search_keeps_what_is_fixed_and_begins_elsewhere(
-    parameters: Parameters,
-) -> None:
-    problem = TwoWells(parameters, 0.0)
-    # Only the first parameter moves the residuals; their Jacobian has one column a parameter.
-    problem.jacobian = lambda theta: np.array(  # type: ignore[method-assign]
-        [[(2.0 * theta[0] - 38.0) / 50.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    )
-    first = fit(problem, parameters.center, fixed=["PCL.stiffness_kN"])
-    again = fit_from_alternative_start(problem, first)
-    assert again.name == "the middle of the bounds"
-    np.testing.assert_array_equal(again.second.start, [20.0, 18.0, 0.0])
-    assert again.second.theta[1] == 18.0

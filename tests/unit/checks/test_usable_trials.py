@@ -8,7 +8,6 @@ import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.calibrate.fit import fit
 from identknee.checks.usable_trials import TrialSearch
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
@@ -63,14 +62,30 @@ def test_a_trial_that_cannot_be_reached_is_left_out_and_named() -> None:
     assert found.rmse.mm < 1e-6
 
 
-def test_a_trial_left_out_comes_back_where_it_has_an_equilibrium() -> None:
-    laxity = as_read()
-    search = _search(laxity, slack())
-    used = search.used(search.model.parameters.start)
-    lost = replace(used, laxity=search.with_equilibrium(search.model.parameters.start))
-    assert 0 < len(lost.names) < laxity.n
-    back, _ = search.refitted(lost, fit)
-    assert back.names == laxity.protocol.trials
+def test_the_problem_is_defined_everywhere_with_exact_derivatives() -> None:
+    """A trial without equilibrium has residuals, and costs more than any that has one."""
+    search = _search(as_read(), slack())
+    problem, start = search.problem_everywhere(search.laxity), search.model.parameters.start
+    residuals, jacobian = problem.residuals(start), problem.jacobian(start)
+    n = int(search.laxity.is_measured.sum())
+    lacking = residuals[n:]
+    np.testing.assert_array_equal(lacking > 0.0, ~search.has_equilibrium(start))
+    assert lacking[lacking > 0.0].min() > np.abs(residuals[:n]).max()
+    for i in range(start.size):
+        step = np.zeros(start.size)
+        step[i] = 1e-5
+        ends = [problem.residuals(start + sign * step) for sign in (-1.0, 1.0)]
+        change = (ends[1] - ends[0]) / 2e-5
+        np.testing.assert_allclose(change, jacobian[:, i], atol=1e-6 * np.abs(jacobian).max())
+
+
+def test_where_all_trials_have_an_equilibrium_nothing_is_added() -> None:
+    search = _search(as_read())
+    start = search.model.parameters.start
+    plain = search.problem(search.laxity).residuals(start)
+    everywhere = search.problem_everywhere(search.laxity).residuals(start)
+    np.testing.assert_array_equal(everywhere[: plain.size], plain)
+    np.testing.assert_array_equal(everywhere[plain.size :], 0.0)
 
 
 def test_all_trials_are_used_from_a_start_that_has_them() -> None:
@@ -164,7 +179,7 @@ def test_trials_along_paths_that_the_start_loses_are_regained() -> None:
     found = ik.fit(given, ik.add_noise(laxity, sd_mm=0.5, sd_deg=0.5, seed=0))
     assert found.trials_used == protocol.trials
     said = " ".join(found.assumptions)
-    assert "loses equilibrium" in said
+    assert "measured trials had no equilibrium" in said
     assert found.rmse.mm < 1.0
     assert found.rmse.deg < 1.0
 

@@ -130,7 +130,7 @@ def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> Non
     findings = (
         finding("moves-against-load", "data", sentence="Wrong sign."),
         finding("at-bound", "parameters", sentence="At bounds."),
-        finding("start-confirmed", "starts", sentence="Tried again."),
+        finding("lowest-found-once", "starts", sentence="Tried again."),
     )
     answer = replace(straight_profiles(), findings=findings)
     (found,) = found_results(write_given(tmp_path, "profile", answer))
@@ -138,7 +138,7 @@ def test_stored_findings_stand_where_they_belong_and_lead(tmp_path: Path) -> Non
     assert said == [
         (Question.WRONG, "Error: Wrong sign.", True),
         (Question.WRONG, "Warning: At bounds.", True),
-        (Question.SEARCH, "Tried again.", False),
+        (Question.SEARCH, "Warning: Tried again.", True),
     ]
     page = report_html([found])
     assert page.index("Wrong sign.") < page.index("Tried again.")
