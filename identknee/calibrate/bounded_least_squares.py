@@ -44,6 +44,7 @@ from identknee.calibrate.problem import (
     Quantity,
     SearchEnded,
     conditional_sds,
+    jump,
 )
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
@@ -650,11 +651,12 @@ class _Search:
     def _next(self, point: _Point, plan: _PlannedStep) -> _Point:
         """The next point: the planned one if actual over predicted reduction is large enough."""
         new = self._point(plan.theta)
-        if not new.is_finite:
+        rise = jump(point.evaluation, new.evaluation) if new.is_finite else np.inf
+        if rise > 0.0:
             self._met_cliff = True
             self._radius = SHORTER * plan.length
             return point
-        if self._curvature is not None:
+        if self._curvature is not None and rise == 0.0:
             self._curvature.learn(point.evaluation, new.evaluation)
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
         self._price = max(self._price, PENALTY * 2.0 * abs(plan.step.multiplier))

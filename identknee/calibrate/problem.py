@@ -411,6 +411,17 @@ class Evaluation:
         return np.asarray(self.jacobian.T @ self.jacobian)
 
 
+def jump(before: Evaluation, after: Evaluation) -> float:
+    """Change of the deviance by residuals that jump: they differ, and have no derivatives.
+
+    Only residuals without derivatives on both sides are looked at, such as those that say that a
+    trial has no equilibrium.
+    """
+    is_flat = ~before.jacobian.any(axis=1) & ~after.jacobian.any(axis=1)
+    first, last = before.residuals[is_flat], after.residuals[is_flat]
+    return float(last @ last - first @ first)
+
+
 class Evaluator:
     """Evaluations of a problem within a budget of simulations.
 

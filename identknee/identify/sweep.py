@@ -322,6 +322,8 @@ def _end(
         polished = further if further.objective < end.objective else end
         # An end on a bound is moved inside, which may be beyond the cliff it stands on.
         last = kind if further.outcome is Outcome.START_FAILED else further.outcome
+        if last is Outcome.VALLEY:
+            last = classify_end(problem, polished)
         n_polishing = further.n_simulations
     return [
         *end.theta,

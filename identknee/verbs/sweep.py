@@ -126,7 +126,7 @@ def sweep(
         starts = shell_starts(parameters, n_starts, center=setup.start, distances=shells, seed=seed)
     # Nuisances are asked of no one, so a start holds the middle of their priors.
     nuisances = ~parameters.is_of_interest
-    starts[:, nuisances] = setup.start[nuisances]
+    starts[:, nuisances] = parameters.start[nuisances]
     run.start_clock()
     chunk = STARTS_A_TASK.get(method, 1)
     cost = chunk if method == "least-squares" else BUDGET / USUAL_SIMULATIONS
