@@ -361,8 +361,8 @@ def fit(
         Weighting,
         option(
             "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
-            "divided by the sd_ columns.",
-            in_python="Always noise with --noise.",
+            "divided by the {sd_} columns.",
+            in_python="Always noise with {--noise}.",
         ),
     ] = "unit",
     noise: options.Noise = None,

@@ -156,7 +156,7 @@ def diagnose(
     protocol: Annotated[
         TrialsLike | None,
         trials_option(
-            "Instead of DATA.csv: find out what planned trials could show, given --noise. The "
+            "Instead of {DATA}: find out what planned trials could show, given {--noise}. The "
             "trials: {}."
         ),
     ] = None,
@@ -172,8 +172,8 @@ def diagnose(
 
     The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the other
     causes that would fit, and the trials that would tell them apart. The folder extended holds the
-    subject with the causes found, for use with every other command. With --protocol instead of
-    DATA.csv, it says which causes such trials could show and tell apart.
+    subject with the causes found, for use with every other command. With {--protocol} instead of
+    {DATA}, it says which causes such trials could show and tell apart.
 
     Raises
     ------

@@ -115,7 +115,9 @@ def profile(
     ] = None,
     trials: Annotated[
         TrialsLike | None,
-        trials_option("Where the trials of --quantity and --forces stand, if not in the data: {}."),
+        trials_option(
+            "Where the trials of {--quantity} and {--forces} stand, if not in the data: {}."
+        ),
     ] = None,
     pairs: Annotated[
         Sequence[Pair] | None,

@@ -452,7 +452,8 @@ def sample(
     budget: Annotated[
         int,
         option(
-            "Largest number of simulations. With a larger one and the same --out the run goes on.",
+            "Largest number of simulations. With a larger one and the same {--out} the run goes "
+            "on.",
             least=1,
         ),
     ] = 400_000,
