@@ -49,15 +49,15 @@ from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
-# What is smaller has no inverse among floating-point numbers.
+# Below this the inverse of a number overflows.
 SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
-# How often whole blocks of components change sides, and how clear of its tolerance a triangle has
-# to be.
+# Rounds in which whole blocks of components become active or free, and the factor by which a
+# triangular factor must exceed the rank tolerance to be used without an SVD.
 MOST_BLOCKS, CLEAR = 20, 1e3
-# Share of its largest that the smallest number on the diagonal of a triangle must have for its
-# square to be solved with.
+# Least ratio of smallest to largest diagonal entry of a triangular factor at which the normal
+# equations are solved with it.
 LEAST_DIAGONAL = 1e-6
 
 
@@ -260,8 +260,8 @@ def _null_space(normal: Array) -> Array:
     return np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]
 
 
-# In conditional standard deviations: a longer step is no end of a search. In lengths of that step:
-# a point farther away says nothing of a kink that it leads across.
+# Longest step, in conditional standard deviations, at which models of remembered points are used,
+# and how near these points must lie, in lengths of that step.
 LONGEST, NEARBY = 2.0, 2.0
 # How many points are remembered.
 REMEMBERED = 12
@@ -384,16 +384,16 @@ def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
 MAX_STEPS = 60
-# Share of the promised decrease that a step must keep, and that lets the next one be longer.
+# Ratio of actual to predicted reduction at which a step is accepted, and the trust region grows.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
-# Of a step across a kink that is not taken: its end is heeded in the next one.
+# Factor of the trust region after a rejected step across a kink, whose end joins the models.
 HALF = 0.5
-# In tolerances: how far below its height a step that heeds kinks may be said to lead.
+# Duality gap allowed to a step across kinks, in tolerances.
 GAP = 0.2
-# In conditional standard deviations: a step below this is none.
+# Radius of the trust region at which a search gives up, in conditional standard deviations.
 SHORTEST = 1e-7
-# The price of a missed target, in multiples of what hitting it costs.
+# Penalty parameter of a missed target, in multiples of the constraint's multiplier.
 PENALTY = 2.0
 
 IsEnough = Callable[[Evaluation], bool]

@@ -84,7 +84,7 @@ class CommandGroup(typer.core.TyperGroup):
 
 def _ends_command(error: Exception) -> bool:
     """Whether an exception is how typer ends a command, or one that it answers itself."""
-    # A closed pipe, as in `identknee ... | head`, ends quietly.
+    # A closed pipe, as in `identknee ... | head`, is no error.
     if isinstance(error, OSError):
         return error.errno == errno.EPIPE
     # A missing argument is better answered by the usage, which typer shows.
@@ -124,7 +124,7 @@ def option_sentence(error: typer.BadParameter) -> str:
 
 
 def missing_module_hint(error: Exception) -> str:
-    """What to do about a missing module, where only Python has spoken; empty for our own words."""
+    """Remedy for a missing module that Python reported; empty if identknee did."""
     is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
     return ". To see what is missing: identknee doctor" if is_python else ""
 

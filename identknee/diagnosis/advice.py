@@ -171,10 +171,10 @@ class Advice:
     sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
     distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
-    distance_after: tuple[float, ...] = entry("The same with the trials")
-    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_after: tuple[float, ...] = entry("Distance of each rival with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("Distance with the first trial alone")
     distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same with one stated error known twice as well, by its name"
+        "Distance with one stated error known twice as well, by its name"
     )
 
 
@@ -323,7 +323,7 @@ class GroupAdvice:
     before: float = entry(
         "Least distance within the group without them, see `identknee.diagnosis.isolability`"
     )
-    after: float = entry("The same with them")
+    after: float = entry("Least distance within the group with them")
 
 
 @declared

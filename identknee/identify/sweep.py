@@ -451,7 +451,7 @@ def distance_units(parameters: Parameters) -> Array:
 
 
 def unit_groups(parameters: Parameters) -> IntArray:
-    """The same number for parameters of the same kind, shape ``(p,)``: stiffness, strain, other."""
+    """Kind of each parameter as a number, shape ``(p,)``: stiffness, strain, other."""
     kinds = [
         0 if name.endswith(STIFFNESS_UNIT) else 1 if name.endswith(STRAIN_UNIT) else 2
         for name in parameters.names

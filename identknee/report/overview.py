@@ -340,12 +340,12 @@ class Row:
     """A parameter or force in the table."""
 
     name: str = entry("Its name in results")
-    label: str = entry("The same in words")
+    label: str = entry("Its name in words")
     estimate: str = entry("Estimate with its unit")
     limits: str = entry("Set with its unit")
     status: str = entry("What is known, in a word or three")
     agreement: str = entry("Whether methods agree, and if not how they differ")
-    found: Agreement = entry("The same in numbers")
+    found: Agreement = entry("Agreement of the methods in numbers")
 
 
 @declared

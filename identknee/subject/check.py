@@ -30,7 +30,7 @@ FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
 WIDEST_GAP = 3.0
 DEEPEST_OVERLAP = 4.0
-# Stiffness [kN] that is odd, and stiffness and reference strain [%] that no ligament is near.
+# Stiffness [kN] above which a warning is given; stiffness and strain [%] that no ligament has.
 ODD_STIFFNESS, IMPOSSIBLE_STIFFNESS, IMPOSSIBLE_STRAIN = 100.0, 1000.0, 100.0
 FARTHEST_ORIGIN = 150.0
 LANDMARK_ANGLE = 5.0

@@ -333,7 +333,7 @@ def no_prediction(setup: Identification) -> NotComputable:
 
 
 def no_prediction_finding(setup: Identification) -> Finding:
-    """The same as a finding."""
+    """The sentence about the noise as a finding."""
     return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
 
 

@@ -27,7 +27,9 @@ class ConfusableCauses:
 
     effects: tuple[str, ...] = entry("Names of the causes")
     distance: float = entry("Distance of the closest two, in units of noise", unit="1")
-    distance_with_advised_trials: float = entry("The same with the trials", unit="1")
+    distance_with_advised_trials: float = entry(
+        "Distance of the closest two with the advised trials", unit="1"
+    )
     advised_trials: tuple[AdvisedTrial, ...] = entry("Trials that would tell them apart")
 
 

@@ -228,7 +228,7 @@ class RunOptions(OutOption, total=False):
 
 
 class KneeOptions(RunOptions, total=False):
-    """The same, and how well the subject is known, which its uncertainty then says."""
+    """Options of a run, and how well the subject is known."""
 
     uncertain: Uncertain
 

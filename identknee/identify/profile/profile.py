@@ -51,9 +51,9 @@ from identknee.runs.schema import from_plain, to_plain
 from identknee.runs.store import Store, resumable_map
 
 MOST_BRANCHES = 12
-# A fit that looks around takes so many steps before it must have come near.
+# Steps after which an exploratory fit must be near an optimum.
 GLANCE_STEPS = 8
-# One that comes back from where the path was lost may take more.
+# Steps of a fit that returns from beyond a lost path.
 RETURN_STEPS = 24
 # Of the threshold: what a glance may leave or the derivatives at its simulation be off, and how
 # near a fit must have come to be followed.
@@ -194,7 +194,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
 
 
 def _beside(branch: Branch, region: Region) -> list[Region]:
-    """The parts of a region below and above a branch."""
+    """The parts of a range of values below and above a branch."""
     low, high = branch.limits
     below, above = (region[0], low), (high, region[1])
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]

@@ -367,7 +367,7 @@ LEFT = 3.0
 # Of the signed root at the threshold: from how near the slope leads to the end. A slope beside a
 # kink is right to a part of itself.
 CLOSE, SLOPE_ERROR = 2e-3, 0.1
-# Of the distance to the optimum.
+# Share of the distance to the optimum.
 END_TOLERANCE = 1e-4
 GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
@@ -450,7 +450,7 @@ class _March:
                 return SideWalk(points=tuple(self._points), side=side)
         return SideWalk(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
 
-    # Where to go.
+    # The next value.
 
     def _go_on(self) -> Side | None:
         value = self._next_value()
@@ -620,7 +620,7 @@ class _March:
         expected = 0.5 * step * (at.slope + point.slope)
         return point.evaluation.deviance - at.evaluation.deviance - expected
 
-    # How it ended.
+    # The end of the side.
 
     def _ended(self) -> Side | None:
         at, outside = self._inside, self._outside
