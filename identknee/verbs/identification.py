@@ -205,7 +205,7 @@ def identification(
     NotComputed
         If the noise is to be estimated and the model has no prediction at the start.
     """
-    limits = bounds_of(bounds)
+    limits = bounds_of(bounds) if bounds else {}
     laxity = with_noise(laxity, noise)
     model, pattern = table_model(knee, laxity)
     knee = model.knee
