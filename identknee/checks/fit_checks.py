@@ -278,15 +278,7 @@ def _alike(objective: float) -> float:
 
 
 def fit_from_alternative_start(problem: Problem, first: Fit) -> AlternativeFit:
-    """Least squares from the first named start that is not the one of a fit.
-
-    Parameters
-    ----------
-    problem
-        That of the fit.
-    first
-        The fit; its fixed parameters and its priors are kept.
-    """
+    """Least squares from the first named start that is not the one of a fit."""
     name, start = _alternative_start(first)
     second = fit(problem, start, seed=first.seed, fixed=first.fixed, priors=first.priors)
     return AlternativeFit(name=name, first=first, second=second)

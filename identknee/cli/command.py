@@ -153,19 +153,7 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
 
 
 def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
-    """Print an answer, and leave with the exit code that it asks for.
-
-    Parameters
-    ----------
-    answer
-        What the verb gave back.
-    out
-        Folder of the results.
-    then
-        What to do next; empty for nothing.
-    as_json
-        Whether to print only the summary.
-    """
+    """Print an answer, and leave with the exit code that it asks for."""
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.schema import summary_of
 

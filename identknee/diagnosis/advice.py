@@ -193,15 +193,6 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
     Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
 
     Trials of the data may be advised once more. Each is taken to be measured as those made were.
-
-    Parameters
-    ----------
-    best
-        The best explanation.
-    rivals
-        Those that the data leave open, the most likely first.
-    laxity
-        The data with the errors found in them.
     """
     rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):

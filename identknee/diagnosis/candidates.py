@@ -385,13 +385,6 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
 
     Other causes leave much the same in all trials of an angle, so these errors are no candidate
     beside them: they count where their evidence is clearly the highest.
-
-    Parameters
-    ----------
-    base
-        The fit without causes.
-    best
-        The best explanation by other causes, or `base`.
     """
     protocol, stated = base.fitted.laxity.protocol, base.fitted.model.knee.uncertainty
     angles = np.unique(protocol.flexion_deg)

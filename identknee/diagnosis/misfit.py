@@ -60,13 +60,7 @@ class Projector:
         return np.concatenate([values, np.zeros((missing, *values.shape[1:]))])
 
     def project(self, values: Array) -> Array:
-        """`values` projected off the fitted parameters.
-
-        Parameters
-        ----------
-        values
-            As in `padded`.
-        """
+        """`values` projected off the fitted parameters."""
         rows = self.padded(values)
         projected: Array = rows - self.basis @ (self.basis.T @ rows)
         return projected

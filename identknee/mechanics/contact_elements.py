@@ -21,7 +21,7 @@ def effective_depth(depth, exponent, rounding):
     is_rounded = depth < rounding
     steepness = reach / (2.0 * rounding) if rounding > 0.0 else 0.0
     felt = 0.5 * reach * steepness if is_rounded else max(depth, 0.0)
-    # Energy of the rounded part in excess of the law's up to the same depth.
+    # What the rounded part holds more than the law would up to the same depth.
     more = rounding * rounding / ((exponent + 1.0) * (2.0 * exponent + 1.0))
     if exponent != 1.0 and rounding > 0.0 and depth > 0.0:
         more *= (rounding / depth) ** (exponent - 1.0)

@@ -264,7 +264,7 @@ def evaluate(flexion, load, contact, field, ligaments, work, at):
 
 @compiled
 def evaluate_near(flexion, load, law, grid, ligaments, placed, expansion, at):
-    """The energy with contact from its last expansion, at a fifth of the cost.
+    """The same from the contact as expanded last, at a fifth of the cost.
 
     Exact but for the third derivatives of the distance to the femur, and for points that came near
     it since.

@@ -317,7 +317,7 @@ def solve(
     return found
 
 
-# Kept, since many simulations share them.
+# The same for many simulations.
 @lru_cache(maxsize=4)
 def _node_arrays(paths: LoadPaths) -> NodeArrays:
     return read_only(NodeArrays(paths.flexion, paths.loads, paths.parent, float(paths.farthest)))

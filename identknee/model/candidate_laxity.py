@@ -118,7 +118,7 @@ class CandidateLaxity:
         return with_unloaded(self.protocol) if is_counted else self.protocol
 
     def with_start_poses(self, theta: Array) -> "CandidateLaxity":
-        """The candidates with start poses; unmeasured ones start at the poses predicted at `theta`.
+        """The same candidates; unmeasured ones start at the poses predicted at `theta`.
 
         These are followed under growing loads from between the poses of the data. `theta` is that
         of `predict`.

@@ -276,7 +276,7 @@ def knee_parameters(
     return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
 
 
-# A trial with more of its contact force near a rim than this is reported.
+# A trial with more of its contact force near a rim than this is worth a word to the user.
 NOTEWORTHY_RIM_SHARE = 0.05
 # In the order of the kernel's codes.
 OUTCOMES = (

@@ -188,7 +188,7 @@ class MechanicsInputs:
         return np.asarray((self.owner[:, None] == np.arange(n_ligaments)).astype(float))
 
     def as_replica(self, number: int) -> "MechanicsInputs":
-        """The inputs as one replica of a batch."""
+        """The same inputs as one replica of a batch."""
         return replace(self, copy=np.full(self.stiffness.size, number))
 
     def lengths_at_start(self, lines: LineLigaments) -> Array:
@@ -346,7 +346,7 @@ def poses_of_measured_trials(made: Protocol, poses: Array | None, asked: Protoco
 
 
 def _keys(protocol: Protocol) -> list[tuple[str, float, bytes]]:
-    """Key of each trial: name, flexion and loads; trials with equal keys are one."""
+    """What makes each trial the same as another one: name, flexion and loads."""
     rows = zip(protocol.trials, protocol.flexion_deg.tolist(), protocol.loads, strict=True)
     return [(name, angle, loads.tobytes()) for name, angle, loads in rows]
 

@@ -42,15 +42,7 @@ QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "referen
 
 
 def misfit_words(region: Sequence[CellScore], share: float) -> str:
-    """Where the misfit is, its coordinate in words.
-
-    Parameters
-    ----------
-    region
-        Fields of the map that stand out together.
-    share
-        Share of the excess misfit that is there.
-    """
+    """Where the misfit is, its coordinate in words."""
     if not region:
         return "No region stands out"
     return (

@@ -263,17 +263,6 @@ def parameter_table(
     others are the value found and its 95 % set by the method named under ``evidence``; an open end
     and what is not known are blank. All scales are linear, since a stiffness may be zero; units end
     the names.
-
-    Parameters
-    ----------
-    parameters
-        The model's parameters.
-    fitted
-        Values found, by name.
-    ranges
-        By name what each method says of it, the most telling first.
-    fixed
-        Names of those that were not estimated.
     """
     text = io.StringIO()
     writer = csv.writer(text, delimiter="\t", lineterminator="\n")

@@ -79,13 +79,7 @@ class Agreement:
         return any(y is Relation.APART and x.source is Source.CAUSE for x, y in self.others)
 
     def sentence(self, unit: str) -> str:
-        """Which methods agree, and how the others differ.
-
-        Parameters
-        ----------
-        unit
-            Unit of the quantity.
-        """
+        """Which methods agree, and how the others differ."""
         n = 1 + len(self.others)
         if n == 1:
             return f"{self.main.source.value} only"

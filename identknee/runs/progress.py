@@ -20,14 +20,7 @@ LEAST_SHARE = 0.02
 def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | None:
     """Seconds until all is done, at the speed so far; None while that is not known.
 
-    Parameters
-    ----------
-    elapsed_s
-        Time since the work began, or was resumed.
-    share
-        Share of the work that is done.
-    before
-        Share that was done when it began.
+    `share` of the work is done, `before` was done when the time began.
 
     Examples
     --------
@@ -135,15 +128,6 @@ def progress(
 
     The bar shows after two seconds on a terminal. Elsewhere, as in a log, a line says how far long
     work is after 30 seconds and then ever more rarely.
-
-    Parameters
-    ----------
-    items
-        What to go through.
-    total
-        How many there are, where `items` has no length.
-    description
-        What is being done.
     """
     if total is None and isinstance(items, Sized):
         total = len(items)

@@ -226,17 +226,7 @@ def known_keys(model: type[BaseModel], place: Place) -> tuple[str, ...]:
 
 
 def remedy_of(model: type[BaseModel], fault: Fault, examples: Mapping[str, str]) -> str:
-    """What to do about a fault: as its validator said, the closest key, or as in an example.
-
-    Parameters
-    ----------
-    model
-        The schema.
-    fault
-        Fault of one of its files.
-    examples
-        What to write by key.
-    """
+    """What to do about a fault: as its validator said, the closest key, or as in an example."""
     if fault.remedy:
         return fault.remedy
     known = known_keys(model, fault.place)

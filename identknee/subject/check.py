@@ -67,15 +67,7 @@ def geometry_finding(
     *,
     remedy: str | None = None,
 ) -> GeometryFinding:
-    """A finding of a registered kind about a knee.
-
-    Parameters
-    ----------
-    code, where, sentence, values
-        As for `identknee.runs.findings.finding`.
-    remedy
-        What to do; that of the kind where None.
-    """
+    """A finding of a registered kind about a knee."""
     made = finding(code, where, values, sentence=sentence)
     return GeometryFinding(
         code=code,

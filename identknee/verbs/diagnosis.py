@@ -426,13 +426,7 @@ class Diagnosis(Answer):
         return tuple(x.name for x in self.causes)
 
     def extended_knee(self, knee: Knee) -> Knee:
-        """The subject with the causes found, for every other calculation.
-
-        Parameters
-        ----------
-        knee
-            The subject that was diagnosed.
-        """
+        """The subject with the causes found, for every other calculation."""
         return knee.with_effects([_choice(x, knee) for x in self.extension])
 
 

@@ -130,13 +130,6 @@ class HeldOut:
 def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
     """The data with the cells of the trials held out blank, and which these are, shape ``(n,)``.
 
-    Parameters
-    ----------
-    laxity
-        The data.
-    held_out
-        Names of trials, ``*`` standing for any letters.
-
     Raises
     ------
     ValueError

@@ -141,13 +141,7 @@ class Identification:
         return check_fit(fitted, others)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
-        """What an answer rests on: its trials, and what of geometry and tests is uncertain.
-
-        Parameters
-        ----------
-        theta
-            The best parameters of the problem, shape ``(n,)``.
-        """
+        """What an answer rests on: its trials, and what of geometry and tests is uncertain."""
         problem, best = self.nuisances_at or (self.problem, np.asarray(theta))
         nuisances = nuisance_estimates(problem, best)
         return {

@@ -168,15 +168,6 @@ def trained_surrogate(
     Each simulation gives all residuals with their first derivatives, so a few hundred determine
     all second ones. Round after round they go where the surrogate before has its mass.
 
-    Parameters
-    ----------
-    density
-        The posterior.
-    optima
-        In working coordinates, shape ``(n,)`` each.
-    generator
-        For the draws.
-
     Returns
     -------
     surrogate, n_simulations

@@ -103,13 +103,6 @@ def initial_state(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     Every second walker starts around the optimum of the ensemble's own turn, the others around all
     in turn: ensembles begin apart, and each knows of every basin.
 
-    Parameters
-    ----------
-    task
-        What the ensemble is asked to do.
-    item
-        Number of the ensemble, and the optima, shape ``(n,)`` each.
-
     Returns
     -------
     block
@@ -141,13 +134,6 @@ def train_surrogate(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     """The trained surrogate of an ensemble; None if it is not useful.
 
     Each ensemble learns its own, so that ensembles stay independent.
-
-    Parameters
-    ----------
-    task
-        What the ensemble is asked to do.
-    item
-        Number of the ensemble, and the optima, shape ``(n,)`` each.
     """
     number, optima = item
     parameters = task.density.parameters

@@ -402,18 +402,9 @@ class _Replicas:
         *,
         first: int,
     ) -> None:
-        """Add those with amplitudes of `each` row (k, a) of `effect`, `first` and those after it.
+        """Add replicas for the differences by the amplitudes of `effect`.
 
-        Parameters
-        ----------
-        effect
-            The effect.
-        before, after
-            The setting without it and with it.
-        each
-            Its amplitudes in turn smaller and larger.
-        first
-            Place of the first of them among all.
+        `each` has them in turn smaller and larger; `first` is the place of the first among all.
         """
         if not len(each):
             return

@@ -48,13 +48,6 @@ def few_triangles(surface: Surface, number: int) -> Mesh:
     triangle whose corners lie in three patches joins them. A surface that has no more vertices than
     asked for is only rounded.
 
-    Parameters
-    ----------
-    surface
-        An open or a closed surface.
-    number
-        How many vertices are wanted.
-
     References
     ----------
     .. [1] Valette and Chassery (2004), Comput. Graph. Forum 23(3), 381-389.
