@@ -474,7 +474,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         simulation = self._simulated(theta)
@@ -489,7 +489,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         return self._simulated(theta).residuals
@@ -499,7 +499,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         return sum_of_squares(self._simulated(theta).residuals)

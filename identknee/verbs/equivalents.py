@@ -122,7 +122,7 @@ def equivalents(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     check_word("--criterion", criterion, get_args(Criterion))

@@ -196,7 +196,7 @@ def identification(
     ValueError
         If an argument is wrong, or the data cannot say anything about the noise that they leave
         unstated.
-    NotComputed
+    NotComputable
         If the noise is to be estimated and the model has no prediction at the start.
     """
     limits = bounds_of(bounds) if bounds else {}
@@ -297,7 +297,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     ------
     ValueError
         If the start lies outside the bounds.
-    NotComputed
+    NotComputable
         If none of them found a prediction; it says which trials are to blame.
     """
     check_start(setup)

@@ -83,7 +83,7 @@ def isolability(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If the subject has no prediction in any trial.
     """
     trials = read_trials(protocol)
@@ -181,7 +181,7 @@ def diagnose(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If the subject has no prediction in any trial of the protocol.
     """
     if (data is None) == (protocol is None):

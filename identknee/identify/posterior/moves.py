@@ -368,7 +368,7 @@ def _gradient(points: Array, blobs: Array) -> Array:
 class OwnKernelMove(Move):  # type: ignore[misc]
     """Steps of random length that leave the walker's own Gauss-Newton kernel invariant.
 
-    Each walker carries its kernel as its blob, as for `identknee.identify.posterior.moves`. From
+    Each walker carries its kernel as its blob, as for `HamiltonianMove`. From
     far out on a bent ridge, where the kernels of other walkers do not reach, a mixture of them
     hardly ever leads a walker in; its own does. Where residuals are linear every step is accepted.
 

@@ -248,7 +248,7 @@ class ProfileContext:
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better than the optimum.
         """
         solved = solve_constrained(
@@ -270,7 +270,7 @@ class ProfileContext:
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better than the optimum.
         """
         solved = fit_from_nearby(
@@ -313,7 +313,7 @@ class ProfileContext:
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better.
         """
         if not self.is_final and evaluation.deviance < self.lowest - self._better:
