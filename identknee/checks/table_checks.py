@@ -508,7 +508,7 @@ LEAST_SD = 0.02
 # Poses of unloaded trials closer to zero than this [mm, deg] were set to zero.
 ZEROED = 1.0
 # Share of the misfit that a convention has to remove, and share of it that the linear model at the
-# start has to promise before a fit is made.
+# start has to predict before a fit is made.
 REMOVED, PROMISED = 0.9, 0.5
 MOST_FITS = 4
 # Of the measured trials, those with an equilibrium at the start.
@@ -701,8 +701,9 @@ def find_broken_convention(
     """The convention that explains why a model does not fit a table; None where none does.
 
     All are looked at where a fit would begin, with the linear model and the priors of the
-    parameters. Only the few that promise most are fitted. Where the table as it is leaves no more
-    than noise, nothing is looked for; trials without equilibrium at the start count nowhere.
+    parameters. Only the few with the largest predicted reduction are fitted. Where the table as it
+    is leaves no more than noise, nothing is looked for; trials without equilibrium at the start
+    count nowhere.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ from identknee.runs.record import Record, record
 from identknee.runs.schema import to_plain
 from identknee.runs.store import Store, resumable_map
 
-# Walkers start around an optimum with this many times the spread that its curvature promises; less
+# Walkers start around an optimum with this many times the spread that its curvature predicts; less
 # only where too few of them would have a prediction.
 OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
 TRIES = 5
