@@ -33,10 +33,14 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
 
 def _combination_words(names: Sequence[str], direction: Array) -> str:
     """A combination with its parameters in words."""
-    first, *others = (
+    named = [
         (f"{share:+.2f}", label_without_unit(name)) for name, share in shares(names, direction)
-    )
-    return ", ".join([" ".join(first), *(" ".join(x).replace("-", "\u2212", 1) for x in others)])
+    ]
+    # Behind a comma the minus has the width of the plus.
+    signed = [
+        (x if k == 0 else x.replace("-", "\u2212"), name) for k, (x, name) in enumerate(named)
+    ]
+    return ", ".join(f"{share} {name}" for share, name in signed)
 
 
 class InformationPresenter(Presenter[LocalIdentifiability]):
