@@ -249,7 +249,7 @@ def prior_posterior_figure(
             axes.axvline(
                 float(np.asarray(truth)[i]), color=BLACK, linewidth=1.0, label="true value"
             )
-        axes.set_xlabel(words.label(name), fontsize=SMALL)
+        axes.set_xlabel(_label(name), fontsize=SMALL)
         axes.set_yticks([])
         axes.set_ylim(bottom=0.0)
         axes.tick_params(labelsize=SMALL)
@@ -377,10 +377,17 @@ def _shared_legend(figure: Figure, axes: Axes) -> None:
     )
 
 
+def _label(name: str) -> str:
+    """A parameter's name with its unit in brackets."""
+    words, _, unit = name.rpartition("_")
+    units = {"kN": "kN", "pct": "%"}
+    return f"{words.replace('.', ' ').replace('_', ' ')} [{units[unit]}]" if unit in units else name
+
+
 def _on_two_lines(name: str) -> str:
     """Whose parameter it is, and below that what it is with its unit."""
     owner, _, quantity = name.rpartition(".")
-    return f"{owner}\n{words.label(quantity)}"
+    return f"{owner}\n{_label(quantity)}"
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:

@@ -17,7 +17,7 @@ from identknee.report.presenter import (
 )
 from identknee.report.tables import table
 from identknee.runs.arrays import Array
-from identknee.runs.words import interval, label, listed, parameter_words, unit_of
+from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.sample import Sample
 
@@ -85,8 +85,9 @@ class SamplePresenter(Presenter[Sample]):
         names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
         parts = []
         for name in names[:MOST_NAMED]:
-            limits = interval((marginals[name].q025, marginals[name].q975), unit_of(name))
-            parts.append(f"{limits} for {parameter_words(name)}")
+            unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
+            limits = (marginals[name].q025, marginals[name].q975)
+            parts.append(f"{interval(limits, unit)} for {parameter_words(name)}")
         probable = (
             f"the 95 % {'interval is' if len(parts) == 1 else 'intervals are'} {listed(parts)}"
         )
