@@ -1,4 +1,4 @@
-"""What blind cases are drawn from, so that what the generator shares with a library can vary."""
+"""Distributions that blind cases are drawn from; any of them can be varied."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -11,7 +11,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import EXACTLY, Frame, Knee, UncertainLike, with_stated_uncertainty
 
-# Draws until one lies between the ends of a spread.
+# Most draws until one lies between the ends of a distribution.
 MOST_TRIES = 1000
 SIZES = (
     "jitter_mm",
@@ -79,7 +79,7 @@ class TruncatedNormal:
     def size(
         self, generator: np.random.Generator, *, n: int = 1, over: float = 1.0, sign: float = 1.0
     ) -> float:
-        """Length of `n` values of mean 0, over `over`; it lies between the ends times `sign`."""
+        """Length of a vector of `n` normal values over `over`, within the ends times `sign`."""
         for _ in range(MOST_TRIES):
             drawn = self.sd * float(np.linalg.norm(generator.normal(size=n))) / over
             if self.lower <= sign * drawn <= self.upper:
@@ -178,12 +178,12 @@ class Conditions:
         return np.asarray(anatomical + self.shift_mm * way / np.linalg.norm(way))
 
     def is_plausible(self, stiffness: Array, strain: Array) -> bool:
-        """Whether true stiffnesses [kN] and reference strains [%] are of a size that may be."""
+        """Whether true stiffnesses [kN] and reference strains [%] are plausible."""
         within_strain = np.abs(strain) <= self.most_strain_pct
         return bool((stiffness <= self.most_stiffness_kN).all() and within_strain.all())
 
     def remounting(self, flexion_deg: Array, generator: np.random.Generator) -> Array:
-        """The error of each trial that its flexion angle has in common [mm, deg], ``(n, 5)``."""
+        """Error of remounting, common to all trials of a flexion angle [mm, deg], ``(n, 5)``."""
         sd = np.repeat([self.remount_mm, self.remount_deg], [3, 2])
         angles, number = np.unique(flexion_deg, return_inverse=True)
         return np.asarray((sd * generator.standard_normal((len(angles), 5)))[number.ravel()])
@@ -225,7 +225,7 @@ GAINS = tuple(
     f"load_gain.{x}"
     for x in ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
 )
-# Of a difference of two places [mm] or frames [deg] that are the same.
+# Two places [mm] or frames [deg] that differ by less are equal.
 ROUNDING = 1e-9
 
 

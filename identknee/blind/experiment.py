@@ -67,7 +67,7 @@ class Experiment:
         "Loads that act at the full stated load, shape ``(n, 5)``: varus and internal moment, "
         "anterior, distraction and lateral force"
     )
-    preload: Array = entry("The same where no load is stated, shape ``(5,)``")
+    preload: Array = entry("Loads that act where none is stated, shape ``(5,)``")
     flexion_offset: float = entry("Added to the stated flexion angle")
     modulus: float = entry("Pressure at a depth of 0.3 mm over that depth [N/mm3]")
     exponent: float = entry("Power of the depth")

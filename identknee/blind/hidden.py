@@ -79,7 +79,7 @@ def hidden(
     fixed: Mapping[str, tuple[float, str]] = MappingProxyType({}),
     **more: Any,
 ) -> Hidden:
-    """An effect whose numbers are shares of its amplitude; those that are `fixed` do not grow.
+    """An effect whose parameters are proportional to its amplitude, but for the `fixed` ones.
 
     `size` is the unit of the amplitude, then the smallest and the largest of the literature. A
     share is one of this unit, or comes with its own. `more` as in `Hidden`.

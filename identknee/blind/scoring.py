@@ -49,7 +49,9 @@ class Score:
     covered_before: float | None = entry(
         "Share of the parameters' intervals that hold the truth before", unit="1"
     )
-    covered_after: float | None = entry("The same share after", unit="1")
+    covered_after: float | None = entry(
+        "Share of the intervals that hold the truth after", unit="1"
+    )
 
 
 def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:

@@ -44,7 +44,7 @@ class BlindData(Answer):
     @property
     @override
     def remark(self) -> str:
-        """What who made the data must know of the signal; empty where there is nothing to know.
+        """A note on the signal for whoever made the data; empty if there is none.
 
         Where chance drew the effect, the same is said whatever was drawn.
         """
@@ -70,7 +70,7 @@ class BlindData(Answer):
 @recorded_as("blind", secret=("effect", "signal"))
 def make_blind(
     run: Run,
-    # What is read of it gets here.
+    # The scaffold reads the subject: the function gets a knee.
     subject: Subject = REFERENCE,  # type: ignore[assignment]
     *,
     effect: Annotated[

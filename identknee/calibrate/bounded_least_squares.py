@@ -16,9 +16,9 @@ The deviance ``D(theta) = |r(theta)|^2`` is minimised over ``lower <= theta <= u
 5. Nonsmooth steps: where the derivatives of r jump, d minimises the highest of the linear models
    of both sides, ``min_d max_k |J_k d + r_k|^2``, by its dual over weights of the models [2]_
    (`KinkModels`).
-6. Stopping: at a minimum no step within the bounds promises more than the tolerance, on target; at
-   a cliff every such step within the trust region has no prediction; else the search ends as a
-   valley.
+6. Stopping: at a minimum no step within the bounds predicts a reduction above the tolerance, on
+   target; at a cliff every such step within the trust region has no prediction; else the search
+   ends as a valley.
 
 It is the method near a minimum and with a constraint; `identknee.calibrate.least_squares` descends
 from far away, where slack ligaments have no slope and an active set is trapped at bounds.
@@ -50,15 +50,15 @@ from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
-# What is smaller has no inverse among floating-point numbers.
+# Below this the inverse of a number overflows.
 SMALLEST = 1e-150
 ROUNDS_PER_PARAMETER = 10
 NEGLIGIBLE = 1e-14
-# How often whole blocks of components change sides, and how clear of its tolerance a triangle has
-# to be.
+# Rounds in which whole blocks of components become active or free, and the factor by which a
+# triangular factor must exceed the rank tolerance to be used without an SVD.
 MOST_BLOCKS, CLEAR = 20, 1e3
-# Share of its largest that the smallest number on the diagonal of a triangle must have for its
-# square to be solved with.
+# Least ratio of smallest to largest diagonal entry of a triangular factor at which the normal
+# equations are solved with it.
 LEAST_DIAGONAL = 1e-6
 
 
@@ -261,8 +261,8 @@ def _null_space(normal: Array) -> Array:
     return np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]
 
 
-# In conditional standard deviations: a longer step is no end of a search. In lengths of that step:
-# a point farther away says nothing of a kink that it leads across.
+# Longest step, in conditional standard deviations, at which models of remembered points are used,
+# and how near these points must lie, in lengths of that step.
 LONGEST, NEARBY = 2.0, 2.0
 # How many points are remembered.
 REMEMBERED = 12
@@ -274,7 +274,7 @@ class KinkModels:
     """Linear models collected across kinks near the current point.
 
     Where a contact begins or ends, the derivatives of the residuals jump. At a minimum on such a
-    kink those of either side promise a decrease on the other, so that steps by one of them zigzag
+    kink those of either side predict a decrease on the other, so that steps by one of them zigzag
     and shrink. The highest of the linear models of both sides has its minimum on the kink.
     """
 
@@ -385,16 +385,16 @@ def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -
 TOLERANCE = 1e-8
 ROUNDING = 1e-13
 MAX_STEPS = 60
-# Share of the promised decrease that a step must keep, and that lets the next one be longer.
+# Ratio of actual to predicted reduction at which a step is accepted, and the trust region grows.
 ENOUGH, GOOD = 1e-4, 0.75
 SHORTER, LONGER = 0.25, 2.0
-# Of a step across a kink that is not taken: its end is heeded in the next one.
+# Factor of the trust region after a rejected step across a kink, whose end joins the models.
 HALF = 0.5
-# In tolerances: how far below its height a step that heeds kinks may be said to lead.
+# Duality gap allowed to a step across kinks, in tolerances.
 GAP = 0.2
-# In conditional standard deviations: a step below this is none.
+# Radius of the trust region at which a search gives up, in conditional standard deviations.
 SHORTEST = 1e-7
-# The price of a missed target, in multiples of what hitting it costs.
+# Penalty parameter of a missed target, in multiples of the constraint's multiplier.
 PENALTY = 2.0
 
 IsEnough = Callable[[Evaluation], bool]
@@ -412,8 +412,8 @@ class ConstrainedFit:
     )
     is_held: BoolArray = entry("Which parameters a bound keeps from fitting better, shape ``(n,)``")
     outcome: Outcome = entry(
-        "`MINIMUM` where no step within the bounds promises more than the tolerance, `CLIFF` "
-        "where the way down has no prediction, `VALLEY` where it did not get that far, "
+        "`MINIMUM` where no step within the bounds predicts a reduction above the tolerance, "
+        "`CLIFF` where the way down has no prediction, `VALLEY` where it did not get that far, "
         "`BUDGET`, or `START_FAILED`"
     )
     is_on_target: bool = entry(
@@ -421,7 +421,7 @@ class ConstrainedFit:
         "end of the quantity's range: no small change within the bounds brings it closer"
     )
     left: float = entry(
-        "How much lower one more step promises the deviance; infinite where none was planned"
+        "Reduction of the deviance predicted for one more step; infinite where none was planned"
     )
     n_simulations: int = entry("Simulations made")
 
@@ -439,7 +439,7 @@ def solve_constrained(
     """The parameter set of least deviance within the bounds at which the quantity is `target`.
 
     Gauss-Newton steps within the bounds and on the linearised constraint, kept to a box around the
-    last point where the model went worse than promised or had no prediction.
+    last point where the model did worse than predicted or had no prediction.
 
     Parameters
     ----------
@@ -451,8 +451,8 @@ def solve_constrained(
     quantity, target
         What is held, and at what value.
     tolerance
-        Tolerance on the deviance, which is what one more step may still promise, and on the target,
-        in conditional standard deviations.
+        Tolerance on the deviance, the reduction that one more step may still predict, and on the
+        target, in conditional standard deviations.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
     is_enough
@@ -480,7 +480,7 @@ def minimise(
     start
         Where to begin, shape ``(n,)``; moved into the bounds.
     tolerance
-        Tolerance on the deviance: what one more step may still promise.
+        Tolerance on the deviance: the reduction that one more step may still predict.
     most_steps
         Steps allowed; it ends as a `VALLEY` after them.
     is_enough
@@ -660,17 +660,17 @@ class _Search:
             self._curvature.learn(point.evaluation, new.evaluation)
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
         self._price = max(self._price, PENALTY * 2.0 * abs(plan.step.multiplier))
-        promised = plan.reduction + self._price * (missing - plan.remaining)
+        predicted = plan.reduction + self._price * (missing - plan.remaining)
         kept = self._merit(point) - self._merit(new)
         rounding = ROUNDING * point.evaluation.deviance
-        is_taken = promised <= 0 or kept >= ENOUGH * promised - rounding
+        is_taken = predicted <= 0 or kept >= ENOUGH * predicted - rounding
         # Over uncertain geometry contact is rounded, and its bends are learned instead.
-        if self._curvature is None and kept <= GOOD * promised:
+        if self._curvature is None and kept <= GOOD * predicted:
             self._kinks.remember((point if is_taken else new).evaluation)
         if not is_taken:
             self._radius = (HALF if self._curvature is None else SHORTER) * plan.length
             return point
-        if kept > GOOD * promised and plan.is_boxed:
+        if kept > GOOD * predicted and plan.is_boxed:
             self._radius *= LONGER
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new

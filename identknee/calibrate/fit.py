@@ -432,7 +432,7 @@ def fit_student(
 ) -> Fit:
     """The maximum-likelihood fit for Student's t errors of unknown scale.
 
-    Least squares again and again, each value weighted by what the fit before left of it, until no
+    Iteratively reweighted least squares, each value weighted by its last residual, until no
     scale changes by a thousandth. Nuisances keep their priors.
 
     Parameters

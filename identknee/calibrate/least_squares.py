@@ -8,8 +8,8 @@
    linear model is a distance, ``|y - y*|^2`` with ``J = U S V'``, ``y = S V' d`` and
    ``y* = -U'r``: along single components of y*, then along y* tilted sideways
    (`descent_around_cliff`).
-4. Stopping: at a minimum the Gauss-Newton step within the bounds vanishes or promises less than
-   rounding, ``-2 r'J d - |J d|^2``; on a kink no step goes down and it promises next to nothing.
+4. Stopping: at a minimum the Gauss-Newton step within the bounds vanishes or predicts less than
+   rounding, ``-2 r'J d - |J d|^2``; on a kink no step goes down and it predicts next to nothing.
 
 It exists beside `identknee.calibrate.bounded_least_squares` because it stays off the bounds on the
 way: far from the minimum it arrives more often (`minimise_by_least_squares` has the counts).
@@ -55,7 +55,7 @@ class GaussNewton:
         "where the derivatives of both sides point at each other"
     )
     is_stationary: bool = entry(
-        "Whether the step is below 1e-6 of the typical steps, or promises less than rounding"
+        "Whether the step is below 1e-6 of the typical steps, or predicts less than rounding"
     )
     gradient_norm: float = entry(
         "Largest derivative of the deviance by a parameter, times its typical step, leaving out "
@@ -90,7 +90,7 @@ LENGTHS = (1.0, 1 / 4, 1 / 16, 1 / 64)
 LONGEST = 5.0
 TILTS_DEG = (50.0, 75.0, 85.0)
 TILTED_LENGTHS = (1.0, 0.1, 0.01)
-# Least share of the decrease that the linear model, which sees no cliff, promises.
+# Least share of the decrease that the linear model, which sees no cliff, predicts.
 ENOUGH = 0.01
 
 
@@ -214,7 +214,7 @@ def minimise_by_least_squares(
     constraint. With nuisance parameters that method, which
     learns the curvature of their bent valleys, takes over where this one creeps. It ends where the
     Gauss-Newton step within the bounds vanishes, or where no step goes down any more and the
-    derivatives promise next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
+    derivatives predict next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
     on because every longer step has no prediction it tries to get around and goes on
     from there, or ends (`cliff`). A start outside the bounds is moved just inside.
     """

@@ -39,7 +39,7 @@ def run_search(search: AskTellSearch, evaluator: Evaluator) -> Outcome:
 
     Raises
     ------
-    Ended
+    SearchEnded
         If the budget of the evaluator was used up first.
     """
     while True:

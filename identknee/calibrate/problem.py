@@ -203,7 +203,7 @@ class ProblemWithPriors:
         return np.concatenate([data, rows / parameters.prior_sd[places]])
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the same, shape ``(m + k, n)``."""
+        """Derivatives of residuals and prior rows by theta, shape ``(m + k, n)``."""
         parameters, places = self.parameters, self._places
         is_log, values = parameters.is_log[places], theta[places]
         slope = np.where(is_log, 1.0 / np.where(is_log, values, 1.0), 1.0)
@@ -243,7 +243,7 @@ def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> Restric
 
 
 def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> Problem:
-    """The same problem with other bounds for the parameters named.
+    """The problem with other bounds for the parameters named.
 
     Raises
     ------
@@ -262,24 +262,24 @@ def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> 
 
 # Singular values of a Jacobian below this share of the largest are rounding, not information.
 RANK_TOLERANCE = 1e-10
-# The same of the triangle that a step is made from: its columns are in conditional standard
-# deviations, so that rounding alone is left, and a direction known to 1e10 of them still counts.
+# Rank tolerance of the triangular factor of a step. Its columns are in conditional standard
+# deviations, which leaves rounding alone: a direction known to 1e10 of them still counts.
 STEP_RANK_TOLERANCE = 1e-12
-# The same where a quantity is called unseen by the data: in conditional standard deviations, with
-# room for what the solver's own tolerance leaves in the derivatives.
+# Rank tolerance below which the data do not see a quantity, in conditional standard deviations,
+# with room for the error that the solver's tolerance leaves in the derivatives.
 UNSEEN_TOLERANCE = 1e-9
-# The same share of the largest eigenvalue of the information, a singular value squared.
+# Rank tolerance of the information, as a share of its largest eigenvalue.
 EIGENVALUE_TOLERANCE = 1e-10
-# Share of the deviance that an impossible step may promise at a minimum on a kink, and how much of
-# it where there are nuisances, whose priors make it one in units of the noise: a tenth of a
-# standard deviation. Insertions that may be elsewhere lead onto kinks as a rule.
+# Predicted reduction of the deviance that a minimum on a kink may leave: as a share of it, and in
+# units of the noise where priors of nuisances set that unit (a tenth of a standard deviation).
+# Fits with uncertain insertions usually end on kinks.
 KINK_SHARE, KINK_DEVIANCE = 1e-6, 0.01
 
 
-# Of the product of their lengths: a step and the change of the gradient along it with a smaller
-# product say nothing that an update could rest on.
+# Least product of a step and the change of the gradient along it for a secant update, as a share
+# of what the Jacobian explains: below it the update would divide by rounding.
 LEAST_PRODUCT = 1e-8
-# Of the largest eigenvalue: a direction with a smaller one is not moved along.
+# Share of the largest eigenvalue of the curvature below which a step has no part along a direction.
 LEAST_EIGENVALUE = 1e-14
 
 
@@ -485,7 +485,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         simulation = self._simulated(theta)
@@ -500,7 +500,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         return self._simulated(theta).residuals
@@ -510,7 +510,7 @@ class Evaluator:
 
         Raises
         ------
-        Ended
+        SearchEnded
             If the budget does not allow another simulation.
         """
         return sum_of_squares(self._simulated(theta).residuals)

@@ -52,9 +52,9 @@ MISTAKES = "check signs, units and side of the data; otherwise the model may lac
 # Share of the objective, and objective: ends that are the same, also where a search stops early.
 ALIKE, ROUNDING = 1e-3, 1e-9
 N_DRAWS = 100
-# Share of the draws without prediction that is worth a word.
+# Share of the draws without prediction that is reported.
 NOTEWORTHY = 0.02
-# Joint distance of a group of nuisances from their prior that is worth a word: 3 standard
+# Joint distance of a group of nuisances from their prior that is reported: 3 standard
 # deviations of one of them, shared by all groups that are looked at.
 BEYOND_PRIOR = 0.0027
 TINY = 1e-12
@@ -99,7 +99,7 @@ def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
 
 
 def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Finding, ...]:
-    """The same where the data state no noise: against errors that no instrument should have.
+    """Whether a fit to data of unstated noise leaves more than any instrument should err by.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         return ()
     best = int(np.argmin(deviances))
     rises = deviances - deviances[best]
-    # Where starts leave a nuisance is no news.
+    # Starts may end at different nuisances: only parameters of interest are compared.
     asked = parameters.is_of_interest
     away = np.max((np.abs(thetas - thetas[best]) / typical_steps(parameters))[:, asked], axis=1)
     rivals = np.flatnonzero((rises <= AS_GOOD) & (away > APART))
@@ -379,19 +379,19 @@ def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iter
 
 
 def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
-    straight = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
-    forces = prediction.centres[straight, :, 0]
+    is_without_varus = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
+    forces = prediction.centres[is_without_varus, :, 0]
     if not forces.size:
         return
     medial, lateral = np.median(forces, axis=0)
     if abs(medial - lateral) <= APART_N or min(medial, lateral) > LEAST_SHARE * (medial + lateral):
         return
-    compression = -float(np.median(model.protocol.loads[straight, DISTRACTION]))
+    compression = -float(np.median(model.protocol.loads[is_without_varus, DISTRACTION]))
     values = {
         "medial_N": medial,
         "lateral_N": lateral,
         "compression_N": compression,
-        "n_trials": int(straight.sum()),
+        "n_trials": int(is_without_varus.sum()),
         "source": CONTACT_SOURCE,
     }
     yield finding("one-sided-contact", "contact", values)

@@ -125,7 +125,7 @@ class StabilityReport:
 
     @property
     def findings(self) -> tuple[GeometryFinding, ...]:
-        """The same in sentences, each with its remedy."""
+        """Findings about stability, each with its remedy."""
         return (
             _own_finding(self),
             *([_box_finding(self)] if self.n_samples else []),
@@ -209,7 +209,7 @@ def box_sample(parameters: Parameters, n: int, generator: np.random.Generator) -
     reach = np.select(
         [is_stiffness, is_strain], [STIFFNESS_SHARE * parameters.start, STRAIN_PCT], np.inf
     )
-    # Of values that lie outside the bounds the nearest bound is left.
+    # Values outside the bounds are clipped to them.
     low, high = (
         np.clip(parameters.start + x, parameters.lower, parameters.upper) for x in (-reach, reach)
     )

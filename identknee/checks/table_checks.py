@@ -120,11 +120,11 @@ def load_sign_findings(laxity: Laxity) -> tuple[Finding, ...]:
 LEVEL = 0.01
 # Share of the trials that may be blunders; where more stand out it is the model that is wrong.
 MOST_SHARE = 0.1
-# What is left of a value by the fitted parameters, below which nothing can be said of it.
+# Relative size below which a residual or singular value is rounding and judges nothing.
 LEAST_LEFT = 1e-6
 # Mean square in units of the noise below which data are free of noise, and rounding is left.
 LEAST_SQUARE = 1e-6
-# Of a direction of load, fewer trials say nothing of how coordinates change with flexion.
+# Fewest trials of one load direction that show how coordinates change with flexion.
 LEAST_TRIALS = 4
 # How often a table may be accused for which the courses are right; they are nearly so, not quite.
 TABLE_LEVEL = 1e-4
@@ -133,9 +133,9 @@ ALIKE = 0.25
 # A sentence lists values of a trial from this many standard errors on, and so many at most.
 LISTED, MOST_LISTED = 3.0, 3
 BUDGET = 80
-# Part of a parameter's range, and typical steps: at a bound, and a change worth a word.
+# Part of a parameter's range that counts as at a bound; typical steps that count as a change.
 AT_END, WORTH = 1e-6, 0.1
-# Of a normal error to its median size.
+# Standard deviation of a normal error over its median absolute size.
 NORMAL = 1.4826
 # What contradicts a trial, by the code of the finding.
 AGAINST = {
@@ -165,7 +165,7 @@ class LeaveOneOut:
     """Leave-one-out residuals of a fit, for any subset of the measured values.
 
     A value that is wrong by ``x`` adds ``x`` times its column to what is left. With one more
-    parameter for each value left out this is exact for a straight model.
+    parameter for each value left out this is exact for a linear model.
     """
 
     products: Array = array("Inner products of those columns", "value", "value")
@@ -174,12 +174,12 @@ class LeaveOneOut:
     degrees: int = entry("Degrees of freedom of it", unit="1")
 
     def fall(self, chosen: IntArray) -> float:
-        """By how much the square falls without the values `chosen`."""
+        """Reduction of the sum of squares without the values `chosen`."""
         block = self.products[np.ix_(chosen, chosen)]
         return float(self.left[chosen] @ _inverse(block) @ self.left[chosen])
 
     def without(self, chosen: IntArray) -> "LeaveOneOut":
-        """What is left without the values `chosen`."""
+        """Residuals of the fit without the values `chosen`."""
         block, columns = self.products[np.ix_(chosen, chosen)], self.products[:, chosen]
         half = _inverse(block) @ np.column_stack([columns.T, self.left[chosen]])
         return LeaveOneOut(
@@ -191,12 +191,12 @@ class LeaveOneOut:
 
 
 def _inverse(block: Array) -> Array:
-    """Of inner products, some of which may be nothing but others together."""
+    """Pseudo-inverse of a matrix of inner products, which may be linearly dependent."""
     return np.asarray(np.linalg.pinv(block, rcond=LEAST_LEFT, hermitian=True), float)
 
 
 def leave_one_out(residuals: Array, jacobian: Array, columns: Array) -> LeaveOneOut:
-    """What a fit leaves, from its residuals in units of their noise.
+    """Leave-one-out residuals of a fit, from its residuals in units of their noise.
 
     Parameters
     ----------
@@ -409,7 +409,7 @@ def contradicted_rows(
 
 
 def without_rows(laxity: Laxity, rows: Iterable[SuspiciousRow]) -> Laxity:
-    """The same laxity with these trials left blank."""
+    """The laxity with these trials left blank."""
     coordinates = np.array(laxity.coordinates)
     coordinates[[x.trial for x in rows]] = np.nan
     return replace(laxity, coordinates=coordinates)
@@ -507,8 +507,8 @@ _UNITS = (
 LEAST_SD = 0.02
 # Poses of unloaded trials closer to zero than this [mm, deg] were set to zero.
 ZEROED = 1.0
-# Share of the misfit that a convention has to remove, and share of it that a straight model at the
-# start has to promise before a fit is made.
+# Share of the misfit that a convention has to remove, and share of it that the linear model at the
+# start has to predict before a fit is made.
 REMOVED, PROMISED = 0.9, 0.5
 MOST_FITS = 4
 # Of the measured trials, those with an equilibrium at the start.
@@ -700,9 +700,10 @@ def find_broken_convention(
 ) -> BrokenConvention | None:
     """The convention that explains why a model does not fit a table; None where none does.
 
-    All are looked at where a fit would begin, with a straight model and the priors of the
-    parameters. Only the few that promise most are fitted. Where the table as it is leaves no more
-    than noise, nothing is looked for; trials without equilibrium at the start count nowhere.
+    All are looked at where a fit would begin, with the linear model and the priors of the
+    parameters. Only the few with the largest predicted reduction are fitted. Where the table as it
+    is leaves no more than noise, nothing is looked for; trials without equilibrium at the start
+    count nowhere.
 
     Parameters
     ----------
@@ -807,8 +808,8 @@ class _Table:
         left = self.differences(theta)
         return _root_mean(left[:, TRANSLATIONS]), _root_mean(left[:, ROTATIONS])
 
-    def straight(self, start: Array) -> Array:
-        """What a straight model at `start`, with the priors, leaves, shape ``(n, 5)``."""
+    def linearised_residuals(self, start: Array) -> Array:
+        """Residuals of the model linearised at `start`, with the priors, shape ``(n, 5)``."""
         measured, parameters = self.laxity.is_measured, self.residuals.parameters
         left = self.differences(start)
         slopes = -self.residuals.jacobian(start) * parameters.prior_sd_in_own_units
@@ -837,7 +838,7 @@ def _selected(laxity: Laxity, rows: BoolArray) -> Laxity | None:
 
 
 def _promising(as_is: _Table, start: Array) -> list[tuple[Convention, _Table]]:
-    here, found = as_is.straight(start), []
+    here, found = as_is.linearised_residuals(start), []
     for convention in conventions_of(as_is.laxity):
         changed = convention.applied(as_is.laxity)
         if changed is None:
@@ -845,7 +846,7 @@ def _promising(as_is: _Table, start: Array) -> list[tuple[Convention, _Table]]:
         table = _Table(as_is.residuals.model, changed)
         if not table.has_prediction(start):
             continue
-        share = table.chi_square_of(table.straight(start)) / table.chi_square_of(here)
+        share = table.chi_square_of(table.linearised_residuals(start)) / table.chi_square_of(here)
         if share <= PROMISED:
             found.append((share, convention, table))
     found.sort(key=lambda x: x[0])

@@ -84,7 +84,7 @@ class CommandGroup(typer.core.TyperGroup):
 
 def _ends_command(error: Exception) -> bool:
     """Whether an exception is how typer ends a command, or one that it answers itself."""
-    # A closed pipe, as in `identknee ... | head`, ends quietly.
+    # A closed pipe, as in `identknee ... | head`, is no error.
     if isinstance(error, OSError):
         return error.errno == errno.EPIPE
     # A missing argument is better answered by the usage, which typer shows.
@@ -124,7 +124,7 @@ def option_sentence(error: typer.BadParameter) -> str:
 
 
 def missing_module_hint(error: Exception) -> str:
-    """What to do about a missing module, where only Python has spoken; empty for our own words."""
+    """Remedy for a missing module that Python reported; empty if identknee did."""
     is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
     return ". To see what is missing: identknee doctor" if is_python else ""
 
@@ -153,19 +153,7 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
 
 
 def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
-    """Print an answer, and leave with the exit code that it asks for.
-
-    Parameters
-    ----------
-    answer
-        What the verb gave back.
-    out
-        Folder of the results.
-    then
-        What to do next; empty for nothing.
-    as_json
-        Whether to print only the summary.
-    """
+    """Print an answer, and leave with the exit code that it asks for."""
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.schema import summary_of
 

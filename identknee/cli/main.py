@@ -27,7 +27,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print(STOPPED, file=sys.stderr)
         sys.exit(INTERRUPTED)
-    # What breaks before or around the verbs, which answer for themselves.
+    # Errors outside the verbs, which handle their own.
     except Exception as error:  # noqa: BLE001
         from identknee.runs.crash_report import report_unexpected_error
 

@@ -122,12 +122,12 @@ def _parameters(verb: Verb) -> Iterator[inspect.Parameter]:
 
 def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
     """A parameter of a verb as typer takes it."""
-    from identknee.verbs.options import option_of
+    from identknee.verbs.options import as_typed, option_of
 
     said = option_of(own.annotation)
     typed = _typed(own.annotation, said.typed)
     is_list = list in (get_origin(x) for x in (typed, *get_args(typed)))
-    text = f"{said.text} May be repeated." if is_list else said.text
+    text = as_typed(said.text) + " May be repeated." * is_list
     default = own.default
     if own.name == "out":
         default = Path(verb.folder)

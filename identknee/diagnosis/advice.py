@@ -171,10 +171,10 @@ class Advice:
     sentence: str = entry("What they would do")
     rivals: tuple[tuple[str, ...], ...] = entry("Names of the causes of each rival")
     distance_before: tuple[float, ...] = entry("Distance of each rival now, in units of noise")
-    distance_after: tuple[float, ...] = entry("The same with the trials")
-    distance_with_one_trial: tuple[float, ...] = entry("The same with the first trial alone")
+    distance_after: tuple[float, ...] = entry("Distance of each rival with the trials")
+    distance_with_one_trial: tuple[float, ...] = entry("Distance with the first trial alone")
     distance_with_error_halved: Mapping[str, tuple[float, ...]] = entry(
-        "The same with one stated error known twice as well, by its name"
+        "Distance with one stated error known twice as well, by its name"
     )
 
 
@@ -193,15 +193,6 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
     Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
 
     Trials of the data may be advised once more. Each is taken to be measured as those made were.
-
-    Parameters
-    ----------
-    best
-        The best explanation.
-    rivals
-        Those that the data leave open, the most likely first.
-    laxity
-        The data with the errors found in them.
     """
     rivals = [x for x in rivals if not _depends_on_order(x.refit)][:MOST_RIVALS]
     if not rivals or _depends_on_order(best):
@@ -323,7 +314,7 @@ class GroupAdvice:
     before: float = entry(
         "Least distance within the group without them, see `identknee.diagnosis.isolability`"
     )
-    after: float = entry("The same with them")
+    after: float = entry("Least distance within the group with them")
 
 
 @declared

@@ -100,7 +100,7 @@ def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Varian
             continue
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
-        # What tells effects of one name apart.
+        # Effects that share a name have a variant.
         place = effect.variant if isinstance(effect, InsertionShift) else ""
         yield Variant(
             effect=effect,
@@ -359,7 +359,7 @@ LEAST_TRIALS = 5
 
 @declared
 class BeyondPrior:
-    """What of the insertions lies beyond its prior."""
+    """Insertions whose estimates lie beyond their prior."""
 
     causes: tuple[InsertionShift, ...] = entry("The insertions beyond it, each as a cause")
     p_value: float = entry(
@@ -385,13 +385,6 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
 
     Other causes leave much the same in all trials of an angle, so these errors are no candidate
     beside them: they count where their evidence is clearly the highest.
-
-    Parameters
-    ----------
-    base
-        The fit without causes.
-    best
-        The best explanation by other causes, or `base`.
     """
     protocol, stated = base.fitted.laxity.protocol, base.fitted.model.knee.uncertainty
     angles = np.unique(protocol.flexion_deg)

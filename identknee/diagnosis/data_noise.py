@@ -108,13 +108,7 @@ def scale_of_replicates(
 
 
 def correlation_of_replicates(replicates: Replicates, values: Array) -> float | None:
-    """The correlation that the errors of a trial share; None where too few trials are equal.
-
-    Parameters
-    ----------
-    replicates, values
-        As in `scale_of_replicates`.
-    """
+    """The correlation that the errors of a trial share; None where too few trials are equal."""
     found = []
     for pair in combinations(range(values.shape[1]), 2):
         used = np.asarray(replicates.is_measured[:, pair].all(axis=1))

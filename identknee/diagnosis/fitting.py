@@ -201,7 +201,7 @@ def best_fit_from(
 def _descended(
     problem: ProblemWithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
 ) -> ConstrainedFit:
-    """The fit from one start: in straight steps, then in some that know how the valley bends."""
+    """The fit from one start: Gauss-Newton steps, then steps with learned curvature."""
     evaluator = Evaluator(problem, ends=ends)
     first = minimise(
         evaluator, start, tolerance=TOLERANCE, most_steps=min(STRAIGHT_STEPS, most_steps)
@@ -364,7 +364,7 @@ class Refit:
         return self.misfit_p_value_at(1.0)
 
     def misfit_p_value_at(self, factor: float) -> float:
-        """The same if the noise were so many times as large; 0 without a prediction."""
+        """Probability of so much misfit if noise were `factor` times as large; 0 unpredicted."""
         if not self.fitted.evaluation.is_finite:
             return 0.0
         rows, projector = self.fitted.residual_rows() / factor, self.fitted.projector
@@ -543,7 +543,7 @@ class Rival:
     def state(self) -> RivalState:
         """Whether the data speak against it clearly enough, if it could be fitted at all.
 
-        A fit that ended before its minimum is taken for as good as a straight model promises that
+        A fit that ended before its minimum is taken for as good as the linear model predicts that
         it may become: only what is excluded even so is excluded.
         """
         if self.refit.fitted.evaluation.is_finite and not (

@@ -177,7 +177,7 @@ MOST_ITERATIONS = 30
 
 @declared
 class Process:
-    """A Gaussian process in each coordinate that has taken up what the model leaves, unnamed."""
+    """A Gaussian process in each coordinate, fitted to the residuals of the model."""
 
     absorbed: float = entry("Share of the misfit that it takes up", unit="1")
     degrees_of_freedom: float = entry("Degrees of freedom that it uses", unit="1")
@@ -187,7 +187,7 @@ class Process:
 
 @declared
 class Discrepancy:
-    """A process with what it leaves."""
+    """A fitted process and the residuals without it."""
 
     process: Process = entry("The process")
     spread: Array = entry(
@@ -450,7 +450,7 @@ class _MemoisedProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Kept:
-    """The residuals of the trials kept, in units in which their errors are independent."""
+    """Whitened residuals of the trials that are not held out."""
 
     memory: _MemoisedProblem
     rows: IntArray
@@ -583,7 +583,7 @@ class ElpdDifference:
         "fold counts"
     )
     se: float = entry("Its standard error; NaN where no fold counts")
-    families: tuple[FamilyDifference, ...] = entry("The same for each family of folds")
+    families: tuple[FamilyDifference, ...] = entry("Difference for each family of folds")
 
     @property
     def folds(self) -> tuple[Fold, ...]:
@@ -667,7 +667,7 @@ def _summed(pairs: list[tuple[FoldScore, FoldScore]], n_trials: int) -> tuple[fl
 
 @declared
 class Assessment:
-    """How well one model does."""
+    """Misfit, evidence and held-out prediction of one model."""
 
     check: ResidualTest = entry(
         "Chi-square of data and priors together, its degrees of freedom and its probability"
@@ -728,7 +728,9 @@ class Gain:
     elpd: ElpdDifference = entry(
         "Log predictive density of held trials, with the cause less without it"
     )
-    elpd_absorbed: ElpdDifference = entry("The same of the process less the base model")
+    elpd_absorbed: ElpdDifference = entry(
+        "Log predictive density of held trials, of the process less the base model"
+    )
     explained: dict[str, float] = entry(
         "Share of the mean square of each measured coordinate that the cause removes; negative "
         "where it adds"

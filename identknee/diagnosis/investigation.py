@@ -333,7 +333,7 @@ def _unfinished(refit: Refit, which: str) -> list[Finding]:
     if fitted.outcome is Outcome.MINIMUM or refit.promised_fall < LEAST_PROMISE:
         return []
     sentence = (
-        f"The fit {which} did not reach its minimum, and a straight model promises a misfit lower "
+        f"The fit {which} did not reach its minimum, and the linear model predicts a misfit lower "
         f"by {refit.promised_fall:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
     )
     values = {"explanation": refit.names, "promised_fall": refit.promised_fall}

@@ -15,7 +15,7 @@ from identknee.runs.words import listed
 # costs one degree of freedom and makes every statistic indifferent to which near-equivalent fit was
 # found.
 LEAST_SINGULAR_VALUE = 1e-6
-# Cauchy's combination cannot take a probability of 1.
+# Largest probability in Cauchy's combination, which is undefined at 1.
 MOST_PROBABLE = 0.99
 # Where the incomplete gamma function is close to the smallest number, its expansion is exact
 # enough.
@@ -60,13 +60,7 @@ class Projector:
         return np.concatenate([values, np.zeros((missing, *values.shape[1:]))])
 
     def project(self, values: Array) -> Array:
-        """`values` projected off the fitted parameters.
-
-        Parameters
-        ----------
-        values
-            As in `padded`.
-        """
+        """`values` projected off the fitted parameters."""
         rows = self.padded(values)
         projected: Array = rows - self.basis @ (self.basis.T @ rows)
         return projected

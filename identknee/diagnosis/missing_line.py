@@ -248,7 +248,7 @@ TRIES = 3  # lines of each scan that are refitted
 MOST_ROUNDS = 3
 # While lines are compared, and for the one that is reported.
 ROUGH_STEPS, FINE_STEPS = 15, 60
-ENOUGH = 1.0  # of the deviance, that another round must gain
+ENOUGH = 1.0  # least reduction of the deviance for another round
 LEAST_FIT = 1e-3  # a line whose fit is less probable is no explanation
 LEVEL = 0.95
 N_CLOUD = 200

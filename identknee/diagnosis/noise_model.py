@@ -11,7 +11,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared
 from identknee.runs.marginalise import marginal_covariance
 
-# Removed along a load curve before what is left counts as noise: a curve of laxity needs it.
+# Degree of the polynomial that is removed along a load curve; the residuals are the noise.
 CURVE_DEGREE = 4
 # Degrees of freedom that a polynomial must leave, or the curve is not used.
 LEAST_LEFT = 2

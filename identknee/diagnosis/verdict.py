@@ -49,10 +49,10 @@ MOST_AMPLITUDES = 16
 FEW_STEPS, FAR_BEHIND, ALWAYS = 6, 40.0, 2
 # Share of the amplitude expected at which a refit begins that can begin nowhere else.
 LITTLE = 0.1
-# The same where even that has no prediction, from more to nearly nothing.
+# Smaller shares, tried in turn where a refit from that amplitude has no prediction.
 LESS = (0.03, 0.01, 0.001)
 # Seconds that it takes to finish the refit of a simple effect, and of one with many amplitudes
-# that a straight model promises to fit better by more than NEARLY_DONE.
+# that the linear model predicts to fit better by more than NEARLY_DONE.
 SIMPLE, FAR_FROM_DONE, NEARLY_DONE = 0.14, 4.0, 1.0
 # The best other refits from whose ligaments one begins that failed.
 MOST_HELPERS = 2

@@ -237,7 +237,7 @@ class MarginalProblem:
         return np.asarray(self._whitening @ (residuals + self.slopes @ self.offset))
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the same, shape ``(m, n)``."""
+        """Derivatives of the residuals by theta, shape ``(m, n)``."""
         return np.asarray(self._whitening @ self.problem.jacobian(theta))
 
 

@@ -269,7 +269,7 @@ class WithTrials:
         return np.concatenate([made, added])
 
     def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the same, shape ``(m, n)``."""
+        """Derivatives of the residuals by theta, shape ``(m, n)``."""
         added = self._last.get(theta.tobytes())
         if added is None:
             _, jacobians = self.candidates.predict(theta, self.chosen)

@@ -144,7 +144,7 @@ def _reach(blocks: Blocks, direction: Array) -> float:
 
 AXES, PAIRS, STARTS = 3, 4, 3
 RAYS_PER_TASK = 20
-BLOCK = 256  # points whose distances from all others are held at once
+BLOCK = 256  # points per block of distances, which bounds the memory
 SIGNS = (-1.0, 1.0)
 # Searches that end this close, relative to the quantity's range, agree.
 AGREEMENT = 1e-4

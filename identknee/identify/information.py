@@ -444,15 +444,18 @@ def spectrum(jacobian: Array) -> tuple[Array, Array]:
     return sizes**2, vectors * np.sign(largest)
 
 
-def combination(names: Sequence[str], direction: Array) -> str:
-    """A direction of length 1 in scaled units by the names of the parameters.
+def shares(names: Sequence[str], direction: Array) -> list[tuple[str, float]]:
+    """Parameters of a direction of length 1 in scaled units, and their shares of at least 0.1.
 
-    Shares below 0.1 are left out, the largest comes first.
+    The largest comes first.
     """
     order = np.argsort(-np.abs(direction), kind="stable")
-    return " ".join(
-        f"{direction[i]:+.2f} {names[i]}" for i in order if abs(direction[i]) >= NEGLIGIBLE_SHARE
-    )
+    return [(names[i], float(direction[i])) for i in order if abs(direction[i]) >= NEGLIGIBLE_SHARE]
+
+
+def combination(names: Sequence[str], direction: Array) -> str:
+    """A direction of length 1 in scaled units by the names of the parameters."""
+    return " ".join(f"{share:+.2f} {name}" for name, share in shares(names, direction))
 
 
 def _collinearity(columns: Array) -> float:

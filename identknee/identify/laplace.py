@@ -205,7 +205,7 @@ class Laplace:
         Ends of their 95 % intervals, within the bounds, shape ``(p,)``.
     is_lower_open, is_upper_open
         Whether an end is no limit that the data give, shape ``(p,)``: a bound, or the estimate
-        itself where the straight model puts the interval beside it.
+        itself where the linear model puts the interval beside it.
     log_evidence
         Logarithm of the integral of likelihood times prior within the bounds.
     """
@@ -325,7 +325,7 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         found.lower * prior_sd,
         found.upper * prior_sd,
     )
-    # A fit stopped before its minimum is not where the straight model puts the parameters, and
+    # A fit stopped before its minimum is not where the linear model puts the parameters, and
     # neither end of such an interval is known.
     slack = ROUNDING * sd
     is_beside = (lower > point + slack) | (upper < point - slack)

@@ -176,7 +176,7 @@ class RegionView:
 
 
 class PairView:
-    """Two points of the same region as one point of twice as many parameters."""
+    """Two points of a region as one point of twice as many parameters."""
 
     def __init__(self, view: RegionView) -> None:
         self._view = view

@@ -211,7 +211,7 @@ class Sensitivity:
 
     @property
     def rule_of_lost(self) -> str:
-        """The same without what is said of columns that only the arrays have."""
+        """The rule without the remark on `complete`, a column that only the arrays have."""
         return RULES.get(self.method, RULES["given"])
 
     @property

@@ -40,7 +40,7 @@ WORDS = tuple(x.value for x in OUTCOMES)
 BY_START = ("start", "parameter")
 # In typical steps (3 kN, 2 %): an end closer to the minimum than this is called that minimum.
 AT_MINIMUM = 0.01
-# Times the change that the derivatives promise over such a step: a larger one is a jump.
+# Times the change that the derivatives predict over such a step: a larger one is a jump.
 JUMP = 10.0
 # Starts that one task goes through: enough to outweigh its way to a worker.
 STARTS_A_TASK = {"least-squares": 20}
@@ -453,7 +453,7 @@ def distance_units(parameters: Parameters) -> Array:
 
 
 def unit_groups(parameters: Parameters) -> IntArray:
-    """The same number for parameters of the same kind, shape ``(p,)``: stiffness, strain, other."""
+    """Kind of each parameter as a number, shape ``(p,)``: stiffness, strain, other."""
     kinds = [
         0 if name.endswith(STIFFNESS_UNIT) else 1 if name.endswith(STRAIN_UNIT) else 2
         for name in parameters.names

@@ -12,7 +12,7 @@ import numpy as np
 from identknee.runs.arrays import Array, BoolArray
 
 MOST_ROUNDS = 20
-# Share of the loss: an exchange that gains less is rounding.
+# Least relative gain of an exchange; less is rounding.
 TOLERANCE = 1e-10
 
 

@@ -448,7 +448,7 @@ def _shortest(value: float) -> str:
 
 # Loads of a usual laxity test: a load counts by its share of these.
 TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
-# Below this share a load is a stray one. A constant load, such as compression, is none of a trial.
+# Loads below this share are stray ones. Constant loads, such as compression, tell no trials apart.
 STRAY = 0.1
 # Share of the largest load of a trial below which another is a stray one beside it.
 STRAY_BESIDE = 0.2

@@ -67,7 +67,7 @@ OPPOSITE_COORDINATES = {
     "valgus_deg": "varus_deg",
     "external_deg": "internal_deg",
 }
-"""The same of coordinates."""
+"""Opposite names of coordinates, which count the other way round."""
 OPPOSITES = {**OPPOSITE_LOADS, **OPPOSITE_COORDINATES}
 # Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
 NOISE_LIMITS = (1e-9, 1e6)
@@ -302,7 +302,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
 
 
 def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
-    """The same from a time series: points of the mean loading curve of each ramp."""
+    """Trials from a time series: points of the mean loading curve of each ramp."""
     file.check_columns((TIME, "trial", FLEXION, *LOADS, *COORDINATES, *OPPOSITES), (FLEXION,))
     _check_coordinates(file)
     ramps: list[str] = []
@@ -397,7 +397,7 @@ def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
 
 
 def relative_to_unloaded(laxity: Laxity) -> Laxity:
-    """The same laxity as changes from the unloaded pose of each flexion angle.
+    """The laxity as changes from the unloaded pose of each flexion angle.
 
     Replicates of the unloaded trial are averaged over those that measured the coordinate; where
     none did, the change is not measured either. A standard deviation of a loaded trial becomes that

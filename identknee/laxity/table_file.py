@@ -334,11 +334,11 @@ def _column_remedy(name: str, known: tuple[str, ...]) -> str:
 
 TIME = "time_s"
 LEVELS = (50.0, 100.0)  # % of the load that every ramp reaches
-# A load turns where it goes back by this share of its range: less is noise of a sensor.
+# A load reverses where it goes back by this share of its range; less is sensor noise.
 TURN = 0.2
 # A second load that is ramped by this share of the first, both beside a usual test's, is a test.
 SECOND = 0.5
-# A loop narrower than this is one that no sensor resolves [mm, deg].
+# Least standard deviation of a loading curve: no sensor resolves less [mm, deg].
 LEAST_SD = 1e-3
 
 

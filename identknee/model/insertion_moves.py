@@ -90,15 +90,6 @@ def rank_moves(
 
     Moves that restore as many are ranked by how much of their load the lost trials reach.
 
-    Parameters
-    ----------
-    model
-        A knee under a protocol, at the subject's own parameters.
-    within_mm
-        How far insertions may be from where they are given [mm].
-    executor
-        Anything with an ordered ``map``.
-
     Raises
     ------
     ValueError
@@ -120,11 +111,6 @@ def settle(
 
     Each step is the one that restores most; insertions without which it works as well go back.
     Where the steps end short of that, it is the best knee met.
-
-    Parameters
-    ----------
-    model, within_mm, executor
-        As in `rank_moves`.
 
     Raises
     ------

@@ -135,13 +135,6 @@ class Parameters:
     def with_fixed(self, names: Sequence[str], values: ArrayLike) -> "FreeParameters":
         """The parameters but those called `names` left free, these fixed at their `values`.
 
-        Parameters
-        ----------
-        names
-            Names of the parameters to fix.
-        values
-            Values of all parameters, shape ``(n,)``.
-
         Raises
         ------
         ValueError

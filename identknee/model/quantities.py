@@ -264,7 +264,7 @@ class LaxityOutputs:
 
     @property
     def parameters(self) -> Parameters:
-        """Those that vary."""
+        """The free parameters of the model."""
         return self.free.parameters
 
     def evaluate(self, theta: Array) -> Array:

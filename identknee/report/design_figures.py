@@ -75,8 +75,16 @@ def candidates_figure(
     gains = np.asarray(gains, float)
     angles = np.unique(candidates.flexion_deg)
     pattern = "{what} {size:g} {unit}"
-    labels = [" + ".join(loads_words(x, pattern)) or UNLOADED for x in candidates.loads]
-    rows = _rows(labels, len(angles), {labels[k] for k in chosen})
+    loads = [loads_words(x, pattern) for x in candidates.loads]
+    labels = [" + ".join(x) or UNLOADED for x in loads]
+    is_chosen = {labels[k] for k in chosen}
+    counts = Counter(labels)
+    # No load, then single loads, then pairs.
+    n_loads = {text: len(x) for text, x in zip(labels, loads, strict=True)}
+    rows = sorted(
+        (x for x in n_loads if x in is_chosen or 2 * counts[x] >= len(angles)),
+        key=lambda text: (n_loads[text], text),
+    )
     table = np.full((len(rows), len(angles)), np.nan)
     lost: list[tuple[int, int]] = []
     places: dict[int, tuple[int, int]] = {}
@@ -91,10 +99,9 @@ def candidates_figure(
     image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
     for place in lost:
         axes.plot(*place, "x", color=GREY, markersize=4)
-    counts = Counter(chosen)
     for k, order in {
         place: str(list(chosen).index(place) + 1) + (f" x{n}" if n > 1 else "")
-        for place, n in counts.items()
+        for place, n in Counter(chosen).items()
     }.items():
         axes.plot(*places[k], "o", color="white", markersize=19, markeredgecolor=BLACK)
         axes.annotate(order, places[k], ha="center", va="center", fontsize=7)
@@ -149,9 +156,3 @@ def _bar(axes: Axes, ends: Array, around: tuple[float, float], row: int) -> None
     for end, place, marker in zip(ends, (low, high), ("<", ">"), strict=True):
         if np.isnan(end):
             axes.plot(place, row, marker, color=COLOURS[row], markersize=9)
-
-
-def _rows(labels: Sequence[str], n_angles: int, chosen: set[str]) -> list[str]:
-    """Labels with candidates at half of the angles or a chosen one: single loads, then pairs."""
-    shown = {x for x in labels if x in chosen or 2 * labels.count(x) >= n_angles}
-    return sorted(shown, key=lambda label: (label != UNLOADED, label.count("+"), label))

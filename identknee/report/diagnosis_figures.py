@@ -24,7 +24,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare, legend_below
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
-from identknee.runs.words import coordinate_words
+from identknee.runs.words import coordinate_words, label
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (
     AddedVariable,
@@ -42,15 +42,7 @@ QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "referen
 
 
 def misfit_words(region: Sequence[CellScore], share: float) -> str:
-    """Where the misfit is, its coordinate in words.
-
-    Parameters
-    ----------
-    region
-        Fields of the map that stand out together.
-    share
-        Share of the excess misfit that is there.
-    """
+    """Where the misfit is, its coordinate in words."""
     if not region:
         return "No region stands out"
     return (
@@ -98,7 +90,7 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     axes.set_facecolor("0.85")
     image = axes.imshow(scores, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto")
     figure.colorbar(image, ax=axes, label="score of the misfit", shrink=0.9)
-    axes.set_yticks(range(len(rows)), [_words(x) for x in rows], fontsize=SMALL)
+    axes.set_yticks(range(len(rows)), [label(x) for x in rows], fontsize=SMALL)
     axes.set_xticks(range(len(columns)), [x for _, x in columns], fontsize=TINY, rotation=90)
     for k, angle in enumerate(angles):
         middle = (k + 0.5) * len(directions) - 0.5
@@ -175,7 +167,7 @@ def residuals_figure(
         )
         grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):
-        axes.set_ylabel(_words(COORDINATES[i]), fontsize=SMALL)
+        axes.set_ylabel(label(COORDINATES[i]), fontsize=SMALL)
     handles = [
         figure.axes[0].plot([], [], STYLES[k], color=COLOURS[k], label=name)[0]
         for k, name in enumerate(changes)
@@ -310,7 +302,7 @@ def estimates_figure(
     ligaments = list(next(iter(fits.values())))
     figure = Figure(figsize=(1.0 + 1.5 * len(ligaments), 4.6), layout="constrained")
     grid = figure.subplots(len(QUANTITIES), len(ligaments), squeeze=False)
-    for row, (quantity, label) in zip(grid, QUANTITIES.items(), strict=True):
+    for row, (quantity, words) in zip(grid, QUANTITIES.items(), strict=True):
         for axes, ligament in zip(row, ligaments, strict=True):
             for k, (name, tree) in enumerate(fits.items()):
                 estimate = tree[ligament][quantity]
@@ -333,7 +325,7 @@ def estimates_figure(
             axes.set_xticks([])
             axes.tick_params(labelsize=SMALL)
             bare(axes)
-        row[0].set_ylabel(label)
+        row[0].set_ylabel(words)
     for axes, ligament in zip(grid[0], ligaments, strict=True):
         axes.set_title(ligament, fontsize=9)
     legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=3)
@@ -370,11 +362,6 @@ def _estimates(
 
 def _axis(protocol: Protocol, curve: Curve) -> int:
     return int(np.argmax(np.ptp(protocol.loads[curve.trials], axis=0)))
-
-
-def _words(coordinate: str) -> str:
-    words, _, unit = coordinate.rpartition("_")
-    return f"{words.replace('_', ' ')} [{unit}]"
 
 
 def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) -> None:

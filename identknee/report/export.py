@@ -263,17 +263,6 @@ def parameter_table(
     others are the value found and its 95 % set by the method named under ``evidence``; an open end
     and what is not known are blank. All scales are linear, since a stiffness may be zero; units end
     the names.
-
-    Parameters
-    ----------
-    parameters
-        The model's parameters.
-    fitted
-        Values found, by name.
-    ranges
-        By name what each method says of it, the most telling first.
-    fixed
-        Names of those that were not estimated.
     """
     text = io.StringIO()
     writer = csv.writer(text, delimiter="\t", lineterminator="\n")
@@ -391,10 +380,10 @@ def export_subject(
 ) -> SubjectFacts:
     """What was written of a subject as a subject folder, and for other tools.
 
-    With --fitted the knee has the parameters of a result, and parameters.tsv lists them in the
-    form of PEtab with their 95 % sets. With --source they are written into a copy of the OpenSim
-    model that the knee was imported from; the rest of that model is unchanged. With --osim alone
-    the model holds two bones, their cartilage and the ligaments. With --vtk the knee is written
+    With {--fitted} the knee has the parameters of a result, and parameters.tsv lists them in the
+    form of PEtab with their 95 % sets. With {--source} they are written into a copy of the OpenSim
+    model that the knee was imported from; the rest of that model is unchanged. With {--osim} alone
+    the model holds two bones, their cartilage and the ligaments. With {--vtk} the knee is written
     in every trial, with gap and pressure on each face and the force of each ligament.
     """
     if out is None:

@@ -14,6 +14,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES, bare, legend_below
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
+from identknee.runs.words import label
 
 # The coordinate that moves along each load.
 ALONG = {
@@ -77,10 +78,10 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
                 axes.set_visible(False)
                 continue
             _draw(axes, curves, cells[axis, angle], coordinate)
-            axes.set_xlabel(_words(LOADS[axis]), fontsize=SMALL + 1)
+            axes.set_xlabel(label(LOADS[axis]), fontsize=SMALL + 1)
             if row == 0:
                 axes.set_title(f"{angle:g} deg flexion", fontsize=10)
-        grid[row, 0].set_ylabel(_words(COORDINATES[coordinate]), fontsize=SMALL + 1)
+        grid[row, 0].set_ylabel(label(COORDINATES[coordinate]), fontsize=SMALL + 1)
     shown = next(x for x in grid.flat if x.get_visible())
     legend_below(figure, *shown.get_legend_handles_labels(), columns=9)
     return figure
@@ -97,9 +98,9 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
         for row in range(len(COORDINATES)):
             _draw(grid[row, column], curves, curve, row)
         grid[0, column].set_title(f"{angle:g} deg flexion", fontsize=SMALL + 1)
-        grid[-1, column].set_xlabel(_words(LOADS[axis]), fontsize=SMALL)
+        grid[-1, column].set_xlabel(label(LOADS[axis]), fontsize=SMALL)
     for row, coordinate in enumerate(COORDINATES):
-        grid[row, 0].set_ylabel(_words(coordinate), fontsize=SMALL)
+        grid[row, 0].set_ylabel(label(coordinate), fontsize=SMALL)
     legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=9)
     return figure
 
@@ -125,7 +126,7 @@ def by_flexion_figure(curves: LaxityCurves) -> Figure:
             axes.plot(
                 flexion, curves.measured[:, i], "o", color=BLACK, markersize=3.0, label="measured"
             )
-        axes.set_ylabel(_words(coordinate), fontsize=SMALL + 1)
+        axes.set_ylabel(label(coordinate), fontsize=SMALL + 1)
         axes.set_xlabel("flexion [deg]", fontsize=SMALL + 1)
         axes.tick_params(labelsize=SMALL, labelbottom=True)
         bare(axes)
@@ -168,8 +169,3 @@ def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.tick_params(labelsize=SMALL)
     bare(axes)
-
-
-def _words(column: str) -> str:
-    words, _, unit = column.rpartition("_")
-    return f"{words.replace('_', ' ')} [{unit.replace('Nm', 'N·m')}]"

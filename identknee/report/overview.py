@@ -79,13 +79,7 @@ class Agreement:
         return any(y is Relation.APART and x.source is Source.CAUSE for x, y in self.others)
 
     def sentence(self, unit: str) -> str:
-        """Which methods agree, and how the others differ.
-
-        Parameters
-        ----------
-        unit
-            Unit of the quantity.
-        """
+        """Which methods agree, and how the others differ."""
         n = 1 + len(self.others)
         if n == 1:
             return f"{self.main.source.value} only"
@@ -340,12 +334,12 @@ class Row:
     """A parameter or force in the table."""
 
     name: str = entry("Its name in results")
-    label: str = entry("The same in words")
+    label: str = entry("Its name in words")
     estimate: str = entry("Estimate with its unit")
     limits: str = entry("Set with its unit")
     status: str = entry("What is known, in a word or three")
     agreement: str = entry("Whether methods agree, and if not how they differ")
-    found: Agreement = entry("The same in numbers")
+    found: Agreement = entry("Agreement of the methods in numbers")
 
 
 @declared

@@ -80,9 +80,11 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
                     )
         axes.set_ylim(-0.05 * top, top)
         verdict = profile.verdict.value.replace("_", " ")
-        words = label_without_unit(profile.name)
-        label = f"{words} [{profile.unit}]" if profile.unit else words
-        axes.set_title(f"{label}\n{verdict}".replace(" in ", "\nin "), fontsize=8)
+        quantity, at, trial = profile.name.partition("@")
+        name = label_without_unit(quantity)
+        unit = f" [{profile.unit}]" if profile.unit else ""
+        where = f"\nin {trial}" if at else ""
+        axes.set_title(f"{name}{where}{unit}\n{verdict}", fontsize=8)
         bare(axes)
         axes.tick_params(labelsize=7)
     for axes in panels[::COLUMNS]:
@@ -299,9 +301,9 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
                     axes.axhline(known[row], color=BLACK, linewidth=0.8)
             axes.tick_params(labelsize=6)
             if row == n - 1:
-                axes.set_xlabel(_stacked(names[column]), fontsize=7)
+                axes.set_xlabel(_on_two_lines(names[column]), fontsize=7)
             if column == 0 and row > 0:
-                axes.set_ylabel(_stacked(names[row]), fontsize=7)
+                axes.set_ylabel(_on_two_lines(names[row]), fontsize=7)
             elif column < row:
                 axes.set_yticklabels([])
     return figure
@@ -382,10 +384,10 @@ def _label(name: str) -> str:
     return f"{words.replace('.', ' ').replace('_', ' ')} [{units[unit]}]" if unit in units else name
 
 
-def _stacked(name: str) -> str:
-    """The same on two lines."""
-    owner, _, rest = _label(name).partition(" ")
-    return f"{owner}\n{rest}"
+def _on_two_lines(name: str) -> str:
+    """Whose parameter it is, and below that what it is with its unit."""
+    owner, _, quantity = name.rpartition(".")
+    return f"{owner}\n{_label(quantity)}"
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:
@@ -571,7 +573,7 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
         axes.axvline(place, color=GREY, linewidth=0.6, zorder=0)
         axes.text(place, -0.04, f"{smallest:.3g}", ha="center", va="top", fontsize=SMALL)
         axes.text(place, 1.03, f"{largest:.3g}", ha="center", va="bottom", fontsize=SMALL)
-    axes.set_xticks(places, [_on_lines(name) for name in parameters], fontsize=SMALL)
+    axes.set_xticks(places, [_on_three_lines(name) for name in parameters], fontsize=SMALL)
     axes.tick_params(axis="x", pad=14, length=0)
     axes.set_yticks([])
     axes.set_ylim(-0.02, 1.02)
@@ -579,7 +581,7 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
     axes.spines[["top", "right", "bottom", "left"]].set_visible(False)
 
 
-def _on_lines(name: str) -> str:
+def _on_three_lines(name: str) -> str:
     owner, _, quantity = name.rpartition(".")
     words, _, unit = quantity.rpartition("_")
     return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"

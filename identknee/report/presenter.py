@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from identknee.report.laxity_figures import LaxityCurves
 
-# So many trials are listed by name.
+# Most trials that are listed by name.
 MOST_NAMED = 8
 
 
@@ -38,7 +38,7 @@ def assumption_sentences(answer: Answer) -> tuple[str, ...]:
 
 @unique
 class Question(Enum):
-    """What a reader asks, in the order of the page; the value is its place on the page."""
+    """Parts of the page by the question they answer, in their order; the value is the anchor."""
 
     KNOWN = "known"
     WRONG = "wrong"
@@ -168,7 +168,7 @@ PRESENTERS = {
 
 
 class Presenter(Generic[Given]):
-    """How answers of one class are shown; what they have nothing of is left as it is here.
+    """How answers of one class are shown; methods that are not overridden show nothing.
 
     Attributes
     ----------

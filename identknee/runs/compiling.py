@@ -46,7 +46,7 @@ def compiled(
 
 
 def compiled_once(function: Function, **options: Any) -> Function:
-    """The same for a function that Python calls, of which all processes run one machine code.
+    """Compile a function that Python calls, of which all processes run one machine code.
 
     Code that is compiled together with its callees and code that is made with callees from disk
     need not agree in their last bits. So a process of its own compiles it, once, while others wait,

@@ -105,7 +105,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     ------
     ValueError
         If `n_workers` is less than 1.
-    WorkerDied
+    WorkerTerminated
         By the map, if a worker ends before its task.
     InputError
         By the map, if there is no room for the function in the folder of temporary files.
@@ -248,7 +248,7 @@ def dask_cluster(cluster: str | int) -> Iterator[Executor]:
         If the number of workers is less than 1, or nothing answers at the address.
     ModuleNotFoundError
         If dask and distributed are not installed.
-    WorkerDied
+    WorkerTerminated
         By the map, if a worker ends before its task.
 
     Examples

@@ -103,13 +103,6 @@ def temporary_path_beside(path: PathLike) -> Path:
 def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
     """Path of a file that can be read: it is there, holds something and is not too large.
 
-    Parameters
-    ----------
-    path
-        The file.
-    limit_mb
-        The largest size taken [MB of 10^6 bytes].
-
     Raises
     ------
     InputError

@@ -93,7 +93,7 @@ class NuisancePosterior(NamedTuple):
 
     @classmethod
     def after(cls, residuals: Array, jacobians: Array, slopes: Array) -> Self:
-        """After data.
+        """The posterior of the nuisances given data.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class NuisancePosterior(NamedTuple):
         return cls(mean=mean, slope=gain @ jacobians, covariance=covariance)
 
     def whitened(self, values: Array, jacobians: Array, slopes: Array) -> tuple[Array, Array]:
-        """K further trials as if of independent noise, nuisances integrated out.
+        """Values of k further trials whitened, with the nuisances integrated out.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class NuisancePosterior(NamedTuple):
         )
 
     def updated(self, value: Array, jacobian: Array, slopes: Array) -> Self:
-        """After one more trial.
+        """The posterior given one more trial.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class NuisancePosterior(NamedTuple):
         return np.asarray(rows.mT @ rows)
 
 
-# Share of a prior standard deviation that is left of it where a nuisance is known better.
+# Share of its prior standard deviation that a nuisance keeps when it is measured.
 SHARE = 0.5
 
 

@@ -13,21 +13,14 @@ from typing_extensions import override
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-# Less of the work says too little of the rest.
+# Share of the work from which on the time left can be estimated.
 LEAST_SHARE = 0.02
 
 
 def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | None:
     """Seconds until all is done, at the speed so far; None while that is not known.
 
-    Parameters
-    ----------
-    elapsed_s
-        Time since the work began, or was resumed.
-    share
-        Share of the work that is done.
-    before
-        Share that was done when it began.
+    `share` of the work is done, `before` was done when the time began.
 
     Examples
     --------
@@ -42,7 +35,7 @@ def time_left(elapsed_s: float, share: float, before: float = 0.0) -> float | No
 
 
 def in_words(seconds: float | None) -> str:
-    """Time left as a person says it.
+    """Time left, rounded as in speech.
 
     Examples
     --------
@@ -75,7 +68,7 @@ class ProgressLines:
         self._lock = threading.Lock()
 
     def __call__(self, count: int, /) -> None:
-        """So many items more are done."""
+        """Count more items as done."""
         with self._lock:
             self._done += count
             elapsed = time.monotonic() - self._began
@@ -119,7 +112,7 @@ class Advance(Protocol):
     """A receiver of progress."""
 
     def __call__(self, count: int, /) -> None:
-        """So many items more are done."""
+        """Count more items as done."""
 
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
@@ -131,19 +124,10 @@ class Advance(Protocol):
 def progress(
     items: Iterable[Item], *, total: int | None = None, description: str
 ) -> Iterator[Item]:
-    """The same items, counted on a bar on standard error.
+    """The items, counted on a bar on standard error as they pass.
 
     The bar shows after two seconds on a terminal. Elsewhere, as in a log, a line says how far long
     work is after 30 seconds and then ever more rarely.
-
-    Parameters
-    ----------
-    items
-        What to go through.
-    total
-        How many there are, where `items` has no length.
-    description
-        What is being done.
     """
     if total is None and isinstance(items, Sized):
         total = len(items)
@@ -152,7 +136,7 @@ def progress(
 
 
 def counted(items: Iterable[Item], advance: Advance) -> Iterator[Item]:
-    """The same items, each counted by `advance` once it is dealt with."""
+    """The items, each counted by `advance` once it has been used."""
     for item in items:
         yield item
         advance(1)

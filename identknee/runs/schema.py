@@ -52,7 +52,7 @@ Place = tuple[str | int, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """What is wrong first in a file.
+    """The first fault found in a file.
 
     Attributes
     ----------
@@ -74,14 +74,14 @@ class Fault:
 
 
 def refusal(why: str, remedy: str) -> PydanticCustomError:
-    """What a validator raises to have its own words shown."""
+    """The error by which a validator states its own message and remedy."""
     # Braces would be read as places to fill in.
     context = {"why": why, "remedy": remedy}
     return PydanticCustomError("said", "{why}", context)
 
 
 def custom_message(why: str, remedy: str) -> WrapValidator:
-    """Words for a value of the wrong form, in place of the general ones.
+    """A message for values of the wrong form, in place of the general one.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def number(
     remedy: str = "Write a number without quotes.",
     remedy_infinite: str = "Write the measured value.",
 ) -> WrapValidator:
-    """Words for what is no finite number."""
+    """A message for values that are not finite numbers."""
 
     def check(value: Any, inner: Callable[[Any], Any]) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -226,17 +226,7 @@ def known_keys(model: type[BaseModel], place: Place) -> tuple[str, ...]:
 
 
 def remedy_of(model: type[BaseModel], fault: Fault, examples: Mapping[str, str]) -> str:
-    """What to do about a fault: as its validator said, the closest key, or as in an example.
-
-    Parameters
-    ----------
-    model
-        The schema.
-    fault
-        Fault of one of its files.
-    examples
-        What to write by key.
-    """
+    """What to do about a fault: as its validator said, the closest key, or as in an example."""
     if fault.remedy:
         return fault.remedy
     known = known_keys(model, fault.place)

@@ -266,7 +266,7 @@ def resumable_map(
 
     Raises
     ------
-    WorkerDied
+    WorkerTerminated
         If a worker process ends before its task; what was finished is kept.
     InputError
         If the store cannot be written, as on a full disk; what it holds is not harmed.

@@ -97,9 +97,15 @@ class Anatomy:
         "Name of the subject's own line that is like the medial collateral ligament; None where "
         "none is"
     )
-    lateral_collateral: str | None = entry("The same for the lateral collateral ligament")
-    anterior_cruciate: str | None = entry("The same for the anterior cruciate ligament")
-    posterior_cruciate: str | None = entry("The same for the posterior cruciate ligament")
+    lateral_collateral: str | None = entry(
+        "Name of the line that is like the lateral collateral ligament"
+    )
+    anterior_cruciate: str | None = entry(
+        "Name of the line that is like the anterior cruciate ligament"
+    )
+    posterior_cruciate: str | None = entry(
+        "Name of the line that is like the posterior cruciate ligament"
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -251,7 +257,7 @@ def _condyle(knee: Knee, sign: float, plateaus: Array) -> tuple[Array, float]:
 
 
 def _roles(knee: Knee, condyles: Array, plateaus: Array, size: float) -> dict[str, str | None]:
-    """The name of the line that is like each of four ligaments."""
+    """The subject's line that runs like each of the four ligaments, by its name."""
     anterior, superior, lateral = knee.tibia_frame.axes
     middle = plateaus.mean(axis=0)
 

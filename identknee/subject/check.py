@@ -30,7 +30,7 @@ FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
 WIDEST_GAP = 3.0
 DEEPEST_OVERLAP = 4.0
-# Stiffness [kN] that is odd, and stiffness and reference strain [%] that no ligament is near.
+# Stiffness [kN] above which a warning is given; stiffness and strain [%] that no ligament has.
 ODD_STIFFNESS, IMPOSSIBLE_STIFFNESS, IMPOSSIBLE_STRAIN = 100.0, 1000.0, 100.0
 FARTHEST_ORIGIN = 150.0
 LANDMARK_ANGLE = 5.0
@@ -67,15 +67,7 @@ def geometry_finding(
     *,
     remedy: str | None = None,
 ) -> GeometryFinding:
-    """A finding of a registered kind about a knee.
-
-    Parameters
-    ----------
-    code, where, sentence, values
-        As for `identknee.runs.findings.finding`.
-    remedy
-        What to do; that of the kind where None.
-    """
+    """A finding of a registered kind about a knee."""
     made = finding(code, where, values, sentence=sentence)
     return GeometryFinding(
         code=code,

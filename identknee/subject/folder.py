@@ -570,7 +570,7 @@ def _read(file: Path) -> Knee:
 
 
 def _made(file: Path, place: str, make: Callable[..., Made], /, *values: Any, **named: Any) -> Made:
-    """What `make` makes of values; those it refuses are a mistake at a place of the file."""
+    """`make(values)`; a refused value is an error at this place of the file."""
     try:
         return make(*values, **named)
     except InputError:

@@ -62,7 +62,7 @@ class Transform:
 
     @property
     def inverse(self) -> "Transform":
-        """The same seen from the other frame."""
+        """The inverse transform: the outer frame seen from this one."""
         turned = self.rotation.T
         return Transform(rotation=turned, translation=-turned @ self.translation)
 

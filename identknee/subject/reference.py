@@ -362,5 +362,5 @@ def _numbers() -> dict[str, Any]:
 
 
 def _values(table: dict[str, Any]) -> dict[str, float]:
-    """The values of a table whose entries also tell unit and source."""
+    """Values of a table whose entries also state unit and source."""
     return {name: entry["value"] for name, entry in table.items()}

@@ -23,7 +23,7 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
 
 FORMATS = (".stl", ".ply", ".obj")
-# With a handler of its own what the parser logs is not printed: its errors are given in a sentence.
+# A null handler keeps the parser's log off the terminal; its errors become our own.
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 
 

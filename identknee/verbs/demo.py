@@ -230,19 +230,7 @@ def demo(
 def start_fits(
     start: str, fits: Sequence[Fit], truth: Array, problem: LaxityResiduals
 ) -> StartFits:
-    """The errors of fits from one start.
-
-    Parameters
-    ----------
-    start
-        Name of the start.
-    fits
-        One a run, at least one.
-    truth
-        The parameters that made the data, shape ``(p,)``.
-    problem
-        The model and the data that were fitted.
-    """
+    """The errors of fits from one start."""
     errors = [parameter_error(fit.theta, truth) for fit in fits]
     rmses = [laxity_rmse(problem.model.simulate(fit.theta), problem.laxity) for fit in fits]
     return StartFits(

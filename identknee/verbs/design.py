@@ -162,7 +162,7 @@ def design(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if candidates is None else read_trials(candidates)

@@ -70,7 +70,9 @@ class FamilyGain:
 
     elpd_difference: float = entry("Gain in log predictive density, in nats", unit="1")
     elpd_se: float = entry("Its standard error", unit="1")
-    elpd_absorbed_difference: float = entry("The same of the process in place", unit="1")
+    elpd_absorbed_difference: float = entry(
+        "Gain in log predictive density of a Gaussian process in place of the cause", unit="1"
+    )
     elpd_absorbed_se: float = entry("Its standard error", unit="1")
     folds: tuple[str, ...] = entry("Folds that count")
     without_signature: tuple[str, ...] = entry("Folds in which both models predict alike")
@@ -86,13 +88,13 @@ class GainFound:
     rmse_held_out_before: float = entry(
         "Error of trials held out without causes, in units of noise", unit="1"
     )
-    rmse_held_out_after: float = entry("The same with the causes", unit="1")
+    rmse_held_out_after: float = entry("Error of trials held out with the causes", unit="1")
     elpd_difference: float = entry(
         "Gain in log predictive density of trials held out, in nats", unit="1"
     )
     elpd_se: float = entry("Its standard error", unit="1")
     elpd_absorbed_difference: float = entry(
-        "The same of a Gaussian process that takes up the misfit unnamed", unit="1"
+        "Gain in log predictive density of a Gaussian process fitted to the residuals", unit="1"
     )
     elpd_absorbed_se: float = entry("Its standard error", unit="1")
     log_evidence_difference: float = entry("Log evidence with less without the causes", unit="1")
@@ -178,7 +180,9 @@ class LineFound(LineEnds):
     is_line: bool = entry("Whether one line of force explains the data")
     sentence: str = entry("What is near it")
     offset_95: float = entry("How far it may be off, with 95 %", unit="mm", key="offset_95_mm")
-    angle_95: float = entry("The same of its direction", unit="deg", key="angle_95_deg")
+    angle_95: float = entry(
+        "How far its direction may be off, with 95 %", unit="deg", key="angle_95_deg"
+    )
     side: PlaceSide = entry("Side on which it crosses the joint")
     near: Mapping[str, float] = entry("Share of likely lines by the place they are near to")
     force: float = entry("Force along it in its trial", unit="N", key="force_N")
@@ -229,7 +233,7 @@ class Misfit:
     p_value_before: float = entry(
         "Probability of size and pattern of the residuals without causes", unit="1"
     )
-    p_value_after: float = entry("The same with the causes", unit="1")
+    p_value_after: float = entry("Probability of the residuals with the causes", unit="1")
     p_value_largest_score: float = entry(
         "Probability of the library's largest score under noise", unit="1"
     )
@@ -245,7 +249,7 @@ class NoiseFound:
     """The noise of the data."""
 
     sentence: str = entry("Where its size comes from")
-    source: NoiseSource = entry("The same in a word")
+    source: NoiseSource = entry("Where its size comes from, in a word")
     sd: Mapping[str, float | None] = entry("Typical standard deviation by unit, mm and deg")
     correlation: float = entry(
         "Correlation that the errors of a trial share", unit="1", key="within_trial_correlation"
@@ -422,13 +426,7 @@ class Diagnosis(Answer):
         return tuple(x.name for x in self.causes)
 
     def extended_knee(self, knee: Knee) -> Knee:
-        """The subject with the causes found, for every other calculation.
-
-        Parameters
-        ----------
-        knee
-            The subject that was diagnosed.
-        """
+        """The subject with the causes found, for every other calculation."""
         return knee.with_effects([_choice(x, knee) for x in self.extension])
 
 
@@ -466,8 +464,8 @@ class Comparison:
     starts: Sequence[Array] = entry(
         "As in `identknee.diagnosis.investigation.investigate`, which is done again"
     )
-    effects: Sequence[Effect] | None = entry("The same")
-    seed: int = entry("The same")
+    effects: Sequence[Effect] | None = entry("Effects tried, as there")
+    seed: int = entry("Seed of random numbers, as there")
 
     def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
         """The rows that the fit contradicts, with the verdict that the other trials have."""

@@ -83,7 +83,7 @@ def equivalents(
         Criterion,
         option(
             "When two sets count as equivalent. noise: the sum of squared differences is at most "
-            "--limit, in standard deviations. paper: the RMSE at each angle is at most 1 mm of "
+            "{--limit}, in standard deviations. paper: the RMSE at each angle is at most 1 mm of "
             "drawer and 1.2 deg of varus and internal rotation."
         ),
     ] = "noise",
@@ -122,7 +122,7 @@ def equivalents(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     check_word("--criterion", criterion, get_args(Criterion))

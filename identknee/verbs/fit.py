@@ -130,13 +130,6 @@ class HeldOut:
 def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
     """The data with the cells of the trials held out blank, and which these are, shape ``(n,)``.
 
-    Parameters
-    ----------
-    laxity
-        The data.
-    held_out
-        Names of trials, ``*`` standing for any letters.
-
     Raises
     ------
     ValueError
@@ -361,8 +354,8 @@ def fit(
         Weighting,
         option(
             "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
-            "divided by the sd_ columns.",
-            in_python="Always noise with --noise.",
+            "divided by the {sd_} columns.",
+            in_python="Always noise with {--noise}.",
         ),
     ] = "unit",
     noise: options.Noise = None,

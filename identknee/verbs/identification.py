@@ -147,13 +147,7 @@ class Identification:
         return check_fit(fitted, others)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
-        """What an answer rests on: its trials, and what of geometry and tests is uncertain.
-
-        Parameters
-        ----------
-        theta
-            The best parameters of the problem, shape ``(n,)``.
-        """
+        """What an answer rests on: its trials, and what of geometry and tests is uncertain."""
         problem, best = self.nuisances_at or (self.problem, np.asarray(theta))
         nuisances = nuisance_estimates(problem, best)
         return {
@@ -208,10 +202,10 @@ def identification(
     ValueError
         If an argument is wrong, or the data cannot say anything about the noise that they leave
         unstated.
-    NotComputed
+    NotComputable
         If the noise is to be estimated and the model has no prediction at the start.
     """
-    limits = bounds_of(bounds)
+    limits = bounds_of(bounds) if bounds else {}
     laxity = with_noise(laxity, noise)
     model, pattern = table_model(knee, laxity)
     knee = model.knee
@@ -319,7 +313,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     ------
     ValueError
         If the start lies outside the bounds.
-    NotComputed
+    NotComputable
         If none of them found a prediction; it says which trials are to blame.
     """
     check_start(setup)
@@ -349,7 +343,7 @@ def no_prediction(setup: Identification) -> NotComputable:
 
 
 def no_prediction_finding(setup: Identification) -> Finding:
-    """The same as a finding."""
+    """The sentence about the noise as a finding."""
     return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
 
 

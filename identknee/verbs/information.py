@@ -79,7 +79,7 @@ def information(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)

@@ -27,7 +27,9 @@ class ConfusableCauses:
 
     effects: tuple[str, ...] = entry("Names of the causes")
     distance: float = entry("Distance of the closest two, in units of noise", unit="1")
-    distance_with_advised_trials: float = entry("The same with the trials", unit="1")
+    distance_with_advised_trials: float = entry(
+        "Distance of the closest two with the advised trials", unit="1"
+    )
     advised_trials: tuple[AdvisedTrial, ...] = entry("Trials that would tell them apart")
 
 
@@ -81,7 +83,7 @@ def isolability(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If the subject has no prediction in any trial.
     """
     trials = read_trials(protocol)
@@ -156,7 +158,7 @@ def diagnose(
     protocol: Annotated[
         TrialsLike | None,
         trials_option(
-            "Instead of DATA.csv: find out what planned trials could show, given --noise. The "
+            "Instead of {DATA}: find out what planned trials could show, given {--noise}. The "
             "trials: {}."
         ),
     ] = None,
@@ -172,14 +174,14 @@ def diagnose(
 
     The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the other
     causes that would fit, and the trials that would tell them apart. The folder extended holds the
-    subject with the causes found, for use with every other command. With --protocol instead of
-    DATA.csv, it says which causes such trials could show and tell apart.
+    subject with the causes found, for use with every other command. With {--protocol} instead of
+    {DATA}, it says which causes such trials could show and tell apart.
 
     Raises
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If the subject has no prediction in any trial of the protocol.
     """
     if (data is None) == (protocol is None):

@@ -46,7 +46,7 @@ def marginalise_nuisances(
     ------
     ValueError
         If there are nuisances and the data state no noise.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     if not setup.problem.parameters.nuisance_names:

@@ -1,15 +1,18 @@
 """Options of the verbs, each said once: command line, defaults and docstrings follow from it.
 
 An option is written as ``Annotated[type, option("What it does.")]`` on the parameter of a verb.
-Those that several verbs share stand here under a name.
+Those that several verbs share stand here under a name. In these texts and in the docstrings of
+verbs ``{--out}`` names another option, ``{SUBJECT}`` and ``{DATA}`` the arguments and ``{sd_}`` a
+column: the help shows them as typed, the docstring as parameters.
 """
 
 import inspect
-import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get_type_hints
+
+from typing_extensions import override
 
 from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
@@ -50,6 +53,28 @@ class Option:
     default: Any = entry("Its default, if it is declared by a `TypedDict`", default=None)
 
 
+class NamesAsTyped(dict[str, str]):
+    """What stands on the command line for a name in a text, which is itself unless listed."""
+
+    def __missing__(self, name: str) -> str:
+        return name
+
+
+class NamesInPython(NamesAsTyped):
+    """What stands in a docstring for a name in a text."""
+
+    @override
+    def __missing__(self, name: str) -> str:
+        return {"SUBJECT": "`subject`", "DATA": "`data`"}.get(
+            name, f"`{name}`" if name.startswith("--") else f"``{name}``"
+        )
+
+
+def as_typed(text: str) -> str:
+    """A text with the names that it mentions as they are typed on the command line."""
+    return text.format_map(NamesAsTyped(DATA="DATA.csv"))
+
+
 def option(text: str, flag: str = "", **more: Any) -> Option:
     """An option of the command line with its dashes; see `Option`."""
     return Option(text=text, flag=flag, **more)
@@ -83,7 +108,7 @@ Data = Annotated[
 MaybeData = Annotated[
     Laxity | None,
     argument(
-        f"{_A_TABLE} Leave it out with --protocol.",
+        f"{_A_TABLE} Leave it out with {{--protocol}}.",
         "DATA.csv",
         in_python="Or a `Laxity`.",
         typed=str | None,
@@ -96,7 +121,7 @@ GivenSubject = Annotated[SubjectLike, get_args(Subject)[1]]
 Noise = Annotated[
     NoiseLike,
     option(
-        "Standard deviations of lengths and angles, such as 0.5mm,0.5deg. They replace the sd_ "
+        "Standard deviations of lengths and angles, such as 0.5mm,0.5deg. They replace the {sd_} "
         "columns of the data.",
         in_python="A text, or two numbers in mm and deg.",
         metavar="MM,DEG",
@@ -116,7 +141,7 @@ Uncertain = Annotated[
 Start = Annotated[
     str,
     option(
-        "Where fits start, and the values of parameters held by --fix: subject (its own values), "
+        "Where fits start, and the values of parameters held by {--fix}: subject (its own values), "
         "IG1 to IG4 of the paper, or a file ending in .toml."
     ),
 ]
@@ -203,7 +228,7 @@ class RunOptions(OutOption, total=False):
 
 
 class KneeOptions(RunOptions, total=False):
-    """The same, and how well the subject is known, which its uncertainty then says."""
+    """Options of a run, and how well the subject is known."""
 
     uncertain: Uncertain
 
@@ -211,7 +236,11 @@ class KneeOptions(RunOptions, total=False):
 def trials_option(text: str, flag: str = "") -> Option:
     """An option that names trials; the text ends where their kinds are listed."""
     return option(
-        text.format(PROTOCOLS), flag, in_python=_A_PROTOCOL, metavar="PROTOCOL", typed=str | None
+        text.replace("{}", PROTOCOLS),
+        flag,
+        in_python=_A_PROTOCOL,
+        metavar="PROTOCOL",
+        typed=str | None,
     )
 
 
@@ -270,7 +299,7 @@ def explained(function: Function, parameters: Mapping[str, inspect.Parameter]) -
     )
     function.__annotations__ = {x.name: x.annotation for x in plain} | {"return": back}
     doc = inspect.cleandoc(function.__doc__ or "")
-    setattr(function, ABOUT, doc.partition(ERRORS)[0].partition("\n\n")[2])
+    setattr(function, ABOUT, as_typed(doc.partition(ERRORS)[0].partition("\n\n")[2]))
     function.__doc__ = _with_parameters(doc, parameters)
     return function
 
@@ -287,23 +316,19 @@ def _plain(annotation: Any) -> Any:
 
 def _with_parameters(doc: str, parameters: Mapping[str, inspect.Parameter]) -> str:
     """A docstring with its section of parameters, before that of errors."""
-    names = {
-        option_of(x.annotation).flag or f"--{name.replace('_', '-')}": name
-        for name, x in parameters.items()
-    }
-
-    def in_python(text: str) -> str:
-        """Options of the command line as parameters."""
-        text = re.sub(r"--[a-z][a-z-]*", lambda x: f"`{names.get(x[0], x[0])}`", text)
-        return re.sub(r"\bDATA\.csv", "`data`", re.sub(r"\bSUBJECT\b", "`subject`", text))
-
+    names = NamesInPython(
+        {
+            option_of(x.annotation).flag or f"--{name.replace('_', '-')}": f"`{name}`"
+            for name, x in parameters.items()
+        }
+    )
     entries = []
     for name, x in parameters.items():
         said = option_of(x.annotation)
         # Marks that reStructuredText would read as its own.
         text = f"{said.text} {said.in_python}".strip().replace("*", "\\*")
-        text = in_python(re.sub(r"\b(\w+_)(?=\s)", r"``\1``", text))
+        text = text.format_map(names)
         entries.append(f"{name}\n{textwrap.indent(textwrap.fill(text, WIDTH), '    ')}")
     section = "\n".join(["Parameters\n----------", *entries])
     head, line, rest = doc.partition(ERRORS)
-    return f"{in_python(head)}\n\n{section}{line}{rest}\n"
+    return f"{head.format_map(names)}\n\n{section}{line}{rest}\n"

@@ -1,4 +1,4 @@
-"""Who prints and draws answers: what stands above the verbs, given to them by the root package."""
+"""The printer of answers: the report, which verbs may not import, registers it here."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
@@ -32,5 +32,5 @@ def set_printer(load: Callable[[], Printer]) -> None:
 
 
 def printer() -> Printer | None:
-    """What was given; None if nothing was."""
+    """The registered printer; None before `set_printer`."""
     return _given[0]() if _given else None

@@ -115,7 +115,9 @@ def profile(
     ] = None,
     trials: Annotated[
         TrialsLike | None,
-        trials_option("Where the trials of --quantity and --forces stand, if not in the data: {}."),
+        trials_option(
+            "Where the trials of {--quantity} and {--forces} stand, if not in the data: {}."
+        ),
     ] = None,
     pairs: Annotated[
         Sequence[Pair] | None,
@@ -157,7 +159,7 @@ def profile(
     ------
     ValueError
         If an argument or a file is wrong; the message says what to do.
-    NotComputed
+    NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if trials is None else read_trials(trials)

@@ -58,7 +58,9 @@ class Marginal:
     prior_sensitivity: float = entry(
         "Change of the marginal when the prior is raised to a power", unit="1"
     )
-    likelihood_sensitivity: float = entry("The same for the likelihood", unit="1")
+    likelihood_sensitivity: float = entry(
+        "Change of the marginal when the likelihood is raised to a power", unit="1"
+    )
     leans_on: str = entry("What it depends on: data, prior, both or neither")
 
 
@@ -452,7 +454,8 @@ def sample(
     budget: Annotated[
         int,
         option(
-            "Largest number of simulations. With a larger one and the same --out the run goes on.",
+            "Largest number of simulations. With a larger one and the same {--out} the run goes "
+            "on.",
             least=1,
         ),
     ] = 400_000,

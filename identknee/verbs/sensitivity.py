@@ -49,13 +49,13 @@ def sensitivity(
     *,
     protocol: Annotated[
         TrialsLike | None,
-        trials_option("The trials, if there is no DATA.csv: {}. If not given: seed63."),
+        trials_option("The trials, if there is no {DATA}: {}. If not given: seed63."),
     ] = None,
     method: Annotated[
         Kind,
         option(
             "morris and sobol vary the parameters independently: stiffness by +-50 % and reference "
-            "strain by +-3 %. The others use the draws of --posterior, or draws from the same "
+            "strain by +-3 %. The others use the draws of {--posterior}, or draws from the same "
             "ranges."
         ),
     ] = "sobol",
@@ -63,7 +63,7 @@ def sensitivity(
         int | None,
         option(
             "Number of trajectories for morris (256 if not given), blocks for sobol (1,024) or "
-            "draws (2,048). With a larger number and the same --out the run goes on."
+            "draws (2,048). With a larger number and the same {--out} the run goes on."
         ),
     ] = None,
     posterior: Annotated[
@@ -78,7 +78,7 @@ def sensitivity(
     """Which parameters the laxity of a knee depends on.
 
     Laxity is grouped by coordinate, flexion angle and kind of load. Trials without a stable pose
-    are an output of their own. Parameters vary around --start. All indices, with confidence
+    are an output of their own. Parameters vary around {--start}. All indices, with confidence
     intervals and convergence, are in result.nc.
 
     Raises

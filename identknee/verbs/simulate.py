@@ -168,7 +168,7 @@ def simulate(
         str,
         option(
             "Ligament parameters: subject (its own values), IG1 to IG4 of the paper, or a file "
-            "ending in .toml. --set changes single ones."
+            "ending in .toml. {--set} changes single ones."
         ),
     ] = "subject",
     noise: Annotated[

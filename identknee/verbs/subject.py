@@ -31,7 +31,7 @@ Bundles = Literal["separate", "merged"]
 ExportFitted = Annotated[
     PathLike | None,
     option(
-        "A result of fit, profile or simulate for SUBJECT, whose parameters the knee gets, or a "
+        "A result of fit, profile or simulate for {SUBJECT}, whose parameters the knee gets, or a "
         "folder with several results.",
         in_python="The latest fit counts most.",
         metavar="DIR",
@@ -42,7 +42,7 @@ ExportOsim = Annotated[bool, option("Also write an OpenSim 4 model.")]
 ExportSource = Annotated[
     PathLike | None,
     option(
-        "The OpenSim model that SUBJECT was imported from: write a copy of it with the knee's "
+        "The OpenSim model that {SUBJECT} was imported from: write a copy of it with the knee's "
         "ligaments. Give lenhart2015 for the one that comes with identknee.",
         metavar="FILE.osim",
         typed=str | None,
@@ -51,7 +51,7 @@ ExportSource = Annotated[
 ExportVtk = Annotated[bool, option("Also write the knee in every trial, for ParaView and PyVista.")]
 ExportTrials = Annotated[
     TrialsLike | None,
-    trials_option("The trials of --vtk: {}. If not given: those of the result, or drawer."),
+    trials_option("The trials of {--vtk}: {}. If not given: those of the result, or drawer."),
 ]
 
 

@@ -67,14 +67,14 @@ def sweep(
     design: Annotated[
         Design,
         option(
-            "How starts are placed. sobol: evenly within the bounds. shells: at --distances from "
-            "--start."
+            "How starts are placed. sobol: evenly within the bounds. shells: at {--distances} from "
+            "{--start}."
         ),
     ] = "sobol",
     distances: Annotated[
         str | Sequence[float],
         option(
-            "For shells: mean differences from --start in kN and in %, such as 0.5,1,2.",
+            "For shells: mean differences from {--start} in kN and in %, such as 0.5,1,2.",
             in_python="A text, or numbers.",
             metavar="D,D,...",
             typed=str,

@@ -138,7 +138,7 @@ class OfData(TypedProtocol[Arguments, Given]):
 
 
 class OfMaybeData(TypedProtocol[Arguments, Given]):
-    """The same of a verb that may do without data."""
+    """A verb as users call it: with a knee, and with its laxity or without."""
 
     def __call__(
         self,
@@ -151,7 +151,7 @@ class OfMaybeData(TypedProtocol[Arguments, Given]):
 
 
 class OfSubject(TypedProtocol[Arguments, Given]):
-    """The same of a verb without data."""
+    """A verb as users call it: with a knee alone, or where to read it."""
 
     def __call__(
         self, subject: options.SubjectLike, *args: Arguments.args, **kwargs: Arguments.kwargs
@@ -183,7 +183,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
     Every other argument is part of what stored work must agree with to be resumed.
     """
     public = parameters_in_full(function)
-    # The run comes first.
+    # The first parameter is the run, which the scaffold provides.
     del public[next(iter(public))]
 
     @functools.wraps(function)

@@ -22,9 +22,15 @@ def rooms(call: Callable[[], Any]) -> set[str]:
     seen: set[str] = set()
 
     def note(frame: FrameType, event: str, _: Any) -> None:
-        code = frame.f_code
-        if event == "call" and code.co_filename.startswith(ROOT) and code.co_name != "<module>":
-            seen.add(code.co_filename[len(ROOT) + 1 :])
+        name = frame.f_code.co_filename
+        if event != "call" or not name.startswith(ROOT) or name[len(ROOT) + 1 :] in seen:
+            return
+        # What runs while a module is imported, such as the body of a class, is no work on the data.
+        back: FrameType | None = frame
+        while back is not None and back.f_code.co_name != "<module>":
+            back = back.f_back
+        if back is None or not back.f_code.co_filename.startswith(ROOT):
+            seen.add(name[len(ROOT) + 1 :])
 
     sys.setprofile(note)
     try:

@@ -1,6 +1,8 @@
 """Modules are small and import no more than their part needs."""
 
 import ast
+import builtins
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +47,23 @@ def test_no_function_is_long_without_a_reason() -> None:
                 if (node.end_lineno or 0) - first.lineno + 1 > MOST_LINES_OF_FUNCTION:
                     long.add(f"{_name(path)}:{node.name}")
     assert long == set(LONG_FUNCTIONS)
+
+
+def test_docstrings_name_errors_that_exist() -> None:
+    nodes = [(path, node) for path in MODULES for node in ast.walk(_tree(path))]
+    known = {node.name for _, node in nodes if isinstance(node, ast.ClassDef)} | set(dir(builtins))
+    unknown = set()
+    for path, node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            section = re.search(
+                r"^Raises\n-+\n(.*?)(?=\n\n\w+\n-+\n|\Z)",
+                ast.get_docstring(node) or "",
+                re.MULTILINE | re.DOTALL,
+            )
+            names = re.findall(r"^\S.*$", section[1], re.MULTILINE) if section else []
+            errors = {x.rpartition(".")[2] for line in names for x in line.split(", ")}
+            unknown |= {f"{_name(path)}:{node.name}: {x}" for x in errors - known}
+    assert unknown == set()
 
 
 @pytest.mark.parametrize("path", [x for x in MODULES if x.name == "__init__.py"], ids=_name)

@@ -18,6 +18,7 @@ import identknee
 HERE = Path(__file__).parent
 PACKAGE = Path(identknee.__file__).parent
 RESULTS = HERE.parent / "fuzz" / "results"
+SUPPORT = HERE.parent / "support"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +71,27 @@ ADDITIONS = (
         "data = ik.example_laxity('s192803').select([0])\n"
         "(found,) = angle_findings(data)\n"
         "assert (found.code, found.values['n_trials']) == ('one-flexion-angle', 1)\n",
+    ),
+    Addition(
+        name="nuisance",
+        most_files=3,
+        code="from identknee.model.nuisances import nuisances_of\n"
+        "from identknee.subject.knee import Uncertainty, with_stated_uncertainty\n"
+        "stated = with_stated_uncertainty(Uncertainty(), 'length_scale=2%')\n"
+        "(made,) = nuisances_of(ik.reference_knee().with_uncertainty(stated))\n"
+        "assert made.parameters.nuisance_names == ('length_scale.ln_scale',)\n"
+        "assert made.parameters.prior_sd.tolist() == [0.02]\n",
+    ),
+    Addition(
+        name="optimizer",
+        most_files=3,
+        code=f"sys.path.insert(0, {str(SUPPORT)!r})\n"
+        "from problems import linear\n"
+        "from identknee.calibrate.fit import fit\n"
+        "problem = linear()\n"
+        "few, many = (fit(problem, problem.start, method='random', budget=n) for n in (20, 400))\n"
+        "assert many.objective < few.objective\n"
+        "assert many.n_simulations == 400\n",
     ),
 )
 

@@ -168,15 +168,6 @@ def trained_surrogate(
     Each simulation gives all residuals with their first derivatives, so a few hundred determine
     all second ones. Round after round they go where the surrogate before has its mass.
 
-    Parameters
-    ----------
-    density
-        The posterior.
-    optima
-        In working coordinates, shape ``(n,)`` each.
-    generator
-        For the draws.
-
     Returns
     -------
     surrogate, n_simulations
@@ -377,7 +368,7 @@ def _gradient(points: Array, blobs: Array) -> Array:
 class OwnKernelMove(Move):  # type: ignore[misc]
     """Steps of random length that leave the walker's own Gauss-Newton kernel invariant.
 
-    Each walker carries its kernel as its blob, as for `identknee.identify.posterior.moves`. From
+    Each walker carries its kernel as its blob, as for `HamiltonianMove`. From
     far out on a bent ridge, where the kernels of other walkers do not reach, a mixture of them
     hardly ever leads a walker in; its own does. Where residuals are linear every step is accepted.
 

@@ -41,7 +41,7 @@ from identknee.runs.record import Record, record
 from identknee.runs.schema import to_plain
 from identknee.runs.store import Store, resumable_map
 
-# Walkers start around an optimum with this many times the spread that its curvature promises; less
+# Walkers start around an optimum with this many times the spread that its curvature predicts; less
 # only where too few of them would have a prediction.
 OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
 TRIES = 5
@@ -103,13 +103,6 @@ def initial_state(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     Every second walker starts around the optimum of the ensemble's own turn, the others around all
     in turn: ensembles begin apart, and each knows of every basin.
 
-    Parameters
-    ----------
-    task
-        What the ensemble is asked to do.
-    item
-        Number of the ensemble, and the optima, shape ``(n,)`` each.
-
     Returns
     -------
     block
@@ -141,13 +134,6 @@ def train_surrogate(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     """The trained surrogate of an ensemble; None if it is not useful.
 
     Each ensemble learns its own, so that ensembles stay independent.
-
-    Parameters
-    ----------
-    task
-        What the ensemble is asked to do.
-    item
-        Number of the ensemble, and the optima, shape ``(n,)`` each.
     """
     number, optima = item
     parameters = task.density.parameters

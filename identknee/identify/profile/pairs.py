@@ -22,7 +22,7 @@ BUDGET = 4000
 N_RAYS = 24
 RADIUS = "radius"
 MOST_ROUNDS = 4
-# Of the deviance: what the optimum may still promise.
+# Of the deviance: predicted reduction that the optimum may leave.
 OPTIMUM_TOLERANCE = 1e-6
 # Of the largest: a variance below this is that of a combination the data fix, or none at all.
 SMALLEST = 1e-12

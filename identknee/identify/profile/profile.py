@@ -51,11 +51,11 @@ from identknee.runs.schema import from_plain, to_plain
 from identknee.runs.store import Store, resumable_map
 
 MOST_BRANCHES = 12
-# A fit that looks around takes so many steps before it must have come near.
-GLANCE_STEPS = 8
-# One that comes back from where the path was lost may take more.
+# Steps after which an exploratory fit must be near an optimum.
+EXPLORATORY_STEPS = 8
+# Steps of a fit that returns from beyond a lost path.
 RETURN_STEPS = 24
-# Of the threshold: what a glance may leave or the derivatives at its simulation be off, and how
+# Of the threshold: the error of an exploratory fit and of the derivatives at its end, and how
 # near a fit must have come to be followed.
 GLANCE_TOLERANCE = 2e-2
 NEAR = 10.0
@@ -176,7 +176,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
                 start = theta
             else:
                 tolerance = GLANCE_TOLERANCE * walk.threshold
-                solved = walk.solve(value, theta, tolerance=tolerance, most_steps=GLANCE_STEPS)
+                solved = walk.solve(value, theta, tolerance=tolerance, most_steps=EXPLORATORY_STEPS)
                 start = solved.evaluation.theta if solved.evaluation.is_finite else None
         branch = None if start is None else _branch_from(walk, branches, start)
         if branch is not None:
@@ -194,7 +194,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
 
 
 def _beside(branch: Branch, region: Region) -> list[Region]:
-    """The parts of a region below and above a branch."""
+    """The parts of a range of values below and above a branch."""
     low, high = branch.limits
     below, above = (region[0], low), (high, region[1])
     return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
@@ -244,7 +244,7 @@ def _rough_fit(
     value: float,
     start: Array,
     *,
-    most_steps: int = GLANCE_STEPS,
+    most_steps: int = EXPLORATORY_STEPS,
     is_enough: IsEnough | None = None,
 ) -> ProfilePoint | None:
     """A rough constrained fit at a value; None if it failed or stopped early."""
@@ -262,20 +262,20 @@ def _rough_fit(
 def _branch_from(walk: ProfileContext, branches: Sequence[Branch], start: Array) -> Branch | None:
     """The branch of the optimum that `start` leads to, if that is likely and not known."""
     is_known = partial(_joins, walk, [x.origin for x in branches])
-    glance = minimise(
+    rough = minimise(
         walk.evaluator,
         start,
         tolerance=GLANCE_TOLERANCE * walk.threshold,
-        most_steps=GLANCE_STEPS,
+        most_steps=EXPLORATORY_STEPS,
         is_enough=is_known,
     )
-    is_far = glance.evaluation.deviance - walk.lowest > NEAR * walk.threshold
-    if is_far or is_known(glance.evaluation):
+    is_far = rough.evaluation.deviance - walk.lowest > NEAR * walk.threshold
+    if is_far or is_known(rough.evaluation):
         return None
-    point = _point(walk, glance.evaluation.theta)
+    point = _point(walk, rough.evaluation.theta)
     if point is None or _is_known(walk, branches, point):
         return None
-    found = minimise(walk.evaluator, glance.evaluation.theta, tolerance=AT_END * walk.threshold)
+    found = minimise(walk.evaluator, rough.evaluation.theta, tolerance=AT_END * walk.threshold)
     walk.note(found.evaluation)
     point = _point(walk, found.evaluation.theta)
     if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
@@ -461,7 +461,7 @@ def _level(side: Side, level: float, threshold: float) -> float:
 LEVEL = 0.95
 BUDGET = 1000
 MOST_RESTARTS = 5
-# Of the deviance: what the optimum may still promise.
+# Of the deviance: predicted reduction that the optimum may leave.
 OPTIMUM_TOLERANCE = 1e-6
 
 

@@ -82,7 +82,7 @@ def threshold_below(threshold: float, level: float, wanted: float, n_quantities:
 
 
 def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) -> float:
-    """The same for noise estimated from the residuals of the fit.
+    """Rise of the deviance that bounds a set where the noise is estimated from the residuals.
 
     The rise of the deviance, in units of the estimated noise, divided by `n_quantities` has an F
     distribution for a linear model.

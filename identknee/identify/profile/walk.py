@@ -147,7 +147,7 @@ def _points_around(
 
 # Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
 BETTER = 1e-4
-# Of the threshold: what a fit that the feasibility boundary stopped may promise unheeded.
+# Of the threshold: predicted reduction that a fit stopped at the feasibility boundary may leave.
 CUT_OFF = 5e-2
 # How much farther than the last step the path may be extended by its curvature.
 FARTHEST = 2.5
@@ -177,11 +177,11 @@ class ProfilePoint:
         Derivative of theta by the value, shape ``(n,)``.
     is_held
         Parameters on a bound, shape ``(n,)``.
-    promise
+    predicted_reduction
         How much lower the fit could be by its slopes, had every parameter set a prediction; next to
         nothing unless the feasibility boundary of the model stopped the fit.
     left
-        How much lower the next step of the fit promised to go.
+        Reduction predicted for the next step of the fit.
     """
 
     value: float
@@ -189,7 +189,7 @@ class ProfilePoint:
     slope: float
     tangent: Array
     is_held: BoolArray
-    promise: float
+    predicted_reduction: float
     left: float
 
     @property
@@ -248,7 +248,7 @@ class ProfileContext:
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better than the optimum.
         """
         solved = solve_constrained(
@@ -270,7 +270,7 @@ class ProfileContext:
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better than the optimum.
         """
         solved = fit_from_nearby(
@@ -288,10 +288,10 @@ class ProfileContext:
     def point(self, solved: ConstrainedFit) -> ProfilePoint:
         """The point of a profile that a constrained fit is."""
         at = solved.evaluation
-        promise = solved.left
+        predicted_reduction = solved.left
         # A budget used up before the first simulation leaves nothing to judge by.
         if at.is_finite and solved.outcome is not Outcome.MINIMUM:
-            promise = linear_reduction_bound(
+            predicted_reduction = linear_reduction_bound(
                 self.evaluator, at, self.quantity.evaluate(at.theta)[1]
             )
         return ProfilePoint(
@@ -300,20 +300,20 @@ class ProfileContext:
             slope=solved.multiplier,
             tangent=solved.tangent,
             is_held=solved.is_held,
-            promise=promise,
+            predicted_reduction=predicted_reduction,
             left=solved.left,
         )
 
     def is_settled(self, point: ProfilePoint) -> bool:
         """Whether no better fit lies beyond the feasibility boundary of the model."""
-        return point.promise <= CUT_OFF * self.threshold
+        return point.predicted_reduction <= CUT_OFF * self.threshold
 
     def note(self, evaluation: Evaluation) -> None:
         """Compare a fit with the optimum.
 
         Raises
         ------
-        BetterFound
+        BetterOptimumFound
             If it is clearly better.
         """
         if not self.is_final and evaluation.deviance < self.lowest - self._better:
@@ -362,12 +362,12 @@ STEPS_ACROSS = 6
 # Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave, and
 # from which height on the next fit is to be the end.
 ON_CURVE, AT_END, NEAR_END = 1e-3, 2e-4, 0.9
-# Of what a fit promises to have left at most: beside a kink it is more than the derivatives say.
+# Tolerances by which a tight fit may lie above its minimum: beside a kink slopes say too little.
 LEFT = 3.0
 # Of the signed root at the threshold: from how near the slope leads to the end. A slope beside a
 # kink is right to a part of itself.
 CLOSE, SLOPE_ERROR = 2e-3, 0.1
-# Of the distance to the optimum.
+# Share of the distance to the optimum.
 END_TOLERANCE = 1e-4
 GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
@@ -384,8 +384,8 @@ MOST_RETRIES = 4
 # points with the same value.
 LEAPS = (2.0, 4.0, 8.0)
 MOST_DETOURS = 6
-# Of the threshold: what a fit stopped at the boundary must promise to leave if its value is to
-# count as excluded.
+# Of the threshold: a fit stopped at the boundary excludes its value where the rise stays above this
+# after the predicted reduction.
 ENOUGH = 0.9
 
 
@@ -450,7 +450,7 @@ class _March:
                 return SideWalk(points=tuple(self._points), side=side)
         return SideWalk(points=tuple(self._points), side=self._open(SideStatus.OPEN_BUDGET))
 
-    # Where to go.
+    # The next value.
 
     def _go_on(self) -> Side | None:
         value = self._next_value()
@@ -620,7 +620,7 @@ class _March:
         expected = 0.5 * step * (at.slope + point.slope)
         return point.evaluation.deviance - at.evaluation.deviance - expected
 
-    # How it ended.
+    # The end of the side.
 
     def _ended(self) -> Side | None:
         at, outside = self._inside, self._outside
@@ -660,8 +660,8 @@ class _March:
 
     def _is_excluded_by_feasibility(self, point: ProfilePoint) -> bool:
         """Whether a fit is excluded only because the way to a better one has no prediction."""
-        promised = self._walk.delta(point) - point.promise
-        is_excluded = promised >= ENOUGH * self._walk.threshold
+        remaining_rise = self._walk.delta(point) - point.predicted_reduction
+        is_excluded = remaining_rise >= ENOUGH * self._walk.threshold
         return not is_excluded and not self._walk.is_settled(point)
 
     def _at_bound(self) -> Side:

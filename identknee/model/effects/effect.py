@@ -143,7 +143,7 @@ class TrialRecord:
     )
 
     def repeated(self, n: int) -> "TrialRecord":
-        """The same trials `n` times, one after the other."""
+        """`n` replicas of the trials, one after the other."""
         return TrialRecord(
             flexion_deg=np.tile(self.flexion_deg, n),
             loads=np.tile(self.loads, (n, 1)),
@@ -209,7 +209,7 @@ class InputsChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReplicaInputsChange(InputsChange):
-    """The same, vectorised over amplitudes (k, a) of k replicas."""
+    """An `InputsChange` vectorised over amplitudes (k, a) of k replicas."""
 
     def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
@@ -233,7 +233,7 @@ class ReadingError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReplicaReadingError(ReadingError):
-    """The same, vectorised over amplitudes (k, a) of k replicas of the trials."""
+    """A `ReadingError` vectorised over amplitudes (k, a) of k replicas of the trials."""
 
     def observe_copies(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
         """The coordinates read in k copies of the trials, copy i with amplitudes ``values[i]``."""
@@ -402,18 +402,9 @@ class _Replicas:
         *,
         first: int,
     ) -> None:
-        """Add those with amplitudes of `each` row (k, a) of `effect`, `first` and those after it.
+        """Add replicas for the differences by the amplitudes of `effect`.
 
-        Parameters
-        ----------
-        effect
-            The effect.
-        before, after
-            The setting without it and with it.
-        each
-            Its amplitudes in turn smaller and larger.
-        first
-            Place of the first of them among all.
+        `each` has them in turn smaller and larger; `first` is the place of the first among all.
         """
         if not len(each):
             return

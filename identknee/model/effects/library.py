@@ -111,7 +111,7 @@ Maker = Callable[[Knee], Effect]
 
 
 def _make_on_any_subject(make: Callable[[], Effect]) -> Maker:
-    """A factory of an effect that is the same on every subject."""
+    """A factory of an effect that does not depend on the subject."""
     return lambda _knee: make()
 
 
@@ -236,7 +236,7 @@ def _effect(knee: Knee, choice: EffectChoice) -> Effect:
     return with_fixed_amplitudes(effect, fixed) if fixed else effect
 
 
-# What changes the knee given, and is no effect on it.
+# Names that stand for a change of the knee itself, not for an effect.
 OF_THE_KNEE = (InsertionShift, Remounting)
 
 

@@ -52,7 +52,7 @@ HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested
 MOST_PARAMETERS = 3
 # Amplitudes of a cause that a terminal shows.
 MOST_AMPLITUDES = 12
-# Standard errors from which on a gain on trials held out is one.
+# Least gain on held-out trials that is claimed, in standard errors.
 LEAST_GAIN = 2.0
 FOUND = {
     Cell.MISSPECIFIED: "seen",
@@ -285,7 +285,7 @@ def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
     for name, best in _flat(answer.parameters_after).items():
         values = [best, *(x[name] for x in rivals)]
         low, high = intervals[name]
-        # Beyond an open end nothing is said.
+        # Open ends have no value to compare.
         is_free = (low is None or low <= min(values)) and (high is None or max(values) <= high)
         rows.append((label(name), min(values), max(values), "no" if is_free else "yes"))
         held += [] if is_free else [parameter_words(name)]

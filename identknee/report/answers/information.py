@@ -5,9 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from typing_extensions import override
 
-from identknee.identify.information import Boundary
+from identknee.identify.information import Boundary, shares
 from identknee.report.presenter import SDS_95, Drawing, Presenter, Range, Source, Statement
 from identknee.report.tables import table
+from identknee.runs.arrays import Array
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability
@@ -30,11 +31,16 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
     }[boundary]
 
 
-def _combination_words(combination: str, names: Sequence[str]) -> str:
+def _combination_words(names: Sequence[str], direction: Array) -> str:
     """A combination with its parameters in words."""
-    for name in sorted(names, key=len, reverse=True):
-        combination = combination.replace(name, label_without_unit(name))
-    return combination.replace(" +", ", +").replace(" -", ", \u2212")
+    named = [
+        (f"{share:+.2f}", label_without_unit(name)) for name, share in shares(names, direction)
+    ]
+    # Behind a comma the minus has the width of the plus.
+    signed = [
+        (x if k == 0 else x.replace("-", "\u2212"), name) for k, (x, name) in enumerate(named)
+    ]
+    return ", ".join(f"{share} {name}" for share, name in signed)
 
 
 class InformationPresenter(Presenter[LocalIdentifiability]):
@@ -67,8 +73,8 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
                 "Combinations of parameters, from well to poorly determined",
                 ("combination, in scaled units", ("eigenvalue", None), ("noise floor", None)),
                 (
-                    (_combination_words(x.combination, found.parameter_names), x.value, x.floor)
-                    for x in found.spectrum
+                    (_combination_words(found.parameter_names, direction), x.value, x.floor)
+                    for x, direction in zip(found.spectrum, found.eigenvectors.T, strict=True)
                 ),
             ),
         )

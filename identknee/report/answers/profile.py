@@ -41,7 +41,7 @@ PROFILE_WORDS = {
 
 
 def parameter_statements(profiles: Sequence[Profile], given: str = "") -> Iterator[Statement]:
-    """The same of parameters alone.
+    """What profiles of parameters say, without those of predictions.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ MEANINGS = {
 
 
 def _missing(found: Sensitivity) -> str:
-    """What half-widths of 0.02 would take; empty where they are reached."""
+    """How many samples half-widths of 0.02 would take; empty where they are reached."""
     missing = found.missing_simulations
     if missing <= 0:
         return ""
@@ -112,7 +112,7 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
         """Which parameter moves which laxity most, and how well that is known."""
         found = answer.analysis
         if found.share_failed == 1.0:
-            # Indices of means alone would be numbers about nothing.
+            # Without variance of the outputs, indices have no meaning.
             yield self.say(
                 f"None of the {found.n_simulations} simulations has a prediction in every trial, "
                 "so no "

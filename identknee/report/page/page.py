@@ -44,7 +44,7 @@ VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
     Verdict.NOT_TESTABLE: "Why the model could not be tested",
 }
-# A statement with the result that it is from.
+# A statement and the result that makes it.
 Sourced = tuple[Statement, str]
 
 
@@ -65,7 +65,7 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     for k, x in enumerate(subjects):
         name = x.title
         if titles.count(name) > 1:
-            # Of one knee that was taken in several ways also which is meant.
+            # A knee with several stated uncertainties is named with the one meant.
             stated = x.results[0].record["settings"].get("uncertain")
             given = [stated] if isinstance(stated, str) else stated or ()
             stated_words = ", ".join(",".join(given).replace(" ", "").split(","))
@@ -214,7 +214,7 @@ def _source(result: Result) -> str:
 
 
 def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
-    """What results say: fits of one table side by side, what several take for granted once."""
+    """Statements of results: fits of one table side by side, shared assumptions once."""
     fits = of_type([x.answer for x in results], Calibration)
     ended = [
         x
@@ -234,7 +234,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
             against = (replace(x, question=Question.SEARCH, warning=None) for x in against)
         own = [*against, *statements_of(result.answer)]
         if result in together:
-            # What leads each of these stands in the table of all.
+            # Main statements of single fits are replaced by the table of all fits.
             own = [x for x in own if not x.is_answer]
             if result is together[0]:
                 own.insert(0, _fits_statement([x.answer for x in together]))

@@ -99,7 +99,7 @@ class Findings:
 
     @property
     def merged(self) -> "Findings":
-        """The same with answers from the same data joined where their kind allows it."""
+        """The findings with answers from one data set joined where their kind allows it."""
         kept: list[Result] = []
         for x in self.results:
             alike = [y for y in kept if (y.verb, y.data_digest) == (x.verb, x.data_digest)]

@@ -1,6 +1,7 @@
 """The knee in three dimensions as HTML for a page that is read offline."""
 
 import json
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -46,13 +47,6 @@ def few_triangles(surface: Surface, number: int) -> Mesh:
     vertex, at its centroid or, where it has a part of the rim, in the middle of that part; each
     triangle whose corners lie in three patches joins them. A surface that has no more vertices than
     asked for is only rounded.
-
-    Parameters
-    ----------
-    surface
-        An open or a closed surface.
-    number
-        How many vertices are wanted.
 
     References
     ----------
@@ -232,7 +226,7 @@ def _in_bones(knee: Knee, setting: MechanicsInputs, ends: Array) -> Array:
 def _line_names(model: LaxityModel, theta: Array) -> list[str]:
     """Names of all lines of a model, those that effects add called after what they belong to."""
     ligaments = [x.name for x in model.knee.ligaments]
-    names, start = list(ligaments), 0
+    names, start, counts = list(ligaments), 0, Counter(ligaments)
     setting, values = model.setting(theta, is_changed=False), model.amplitudes(theta)
     for effect in model.effects:
         part = slice(start, start + effect.parameters.n)
@@ -242,8 +236,8 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
         setting = effect.change(setting, values[part])
         for owner in setting.owner[len(names) :]:
             name = ligaments[owner] if owner >= 0 else effect.name.replace("_", " ")
-            number = 1 + sum(x == name or x.startswith(f"{name} #") for x in names)
-            names.append(name if number == 1 else f"{name} #{number}")
+            counts[name] += 1
+            names.append(name if counts[name] == 1 else f"{name} #{counts[name]}")
     return names
 
 

@@ -146,7 +146,7 @@ def test_a_wall_ends_the_fit_near_the_lowest_point_before_it() -> None:
     towards = np.linalg.solve(hessian, normal)
     on_wall = problem.minimum - towards * (normal @ normal / 2) / (normal @ towards)
     lowest = 0.5 * np.sum(problem.residuals(on_wall) ** 2)
-    # A way on is only taken if it gains 1 % of what the linear model promises.
+    # A way on is only taken if it gains 1 % of what the linear model predicts.
     assert end.objective < lowest + 0.05 * (lowest - problem.lowest)
     assert end.n_simulations < 300
 
@@ -201,9 +201,9 @@ def test_a_minimum_on_a_kink_is_a_minimum() -> None:
 
 
 def test_nuisances_put_up_with_sharper_kinks() -> None:
-    """With priors the deviance is one of the noise, of which the slopes promise a hundredth here.
+    """With priors the deviance is one of the noise, of which the slopes predict a hundredth here.
 
-    The promise is the slope squared over that of the other residual.
+    The predicted reduction is the slope squared over that of the other residual.
     """
     alone = Kinked(slope=2.0)
     beside = Kinked(slope=2.0, parameters=ALONE.as_nuisances())

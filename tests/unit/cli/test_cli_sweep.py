@@ -8,7 +8,9 @@ import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
 
-SHORT = ("--n-starts", 12, "--paths", 4, "--noise", "0.5mm,0.5deg")
+NOISE = ("--noise", "0.5mm,0.5deg")
+SHORT = ("--n-starts", 12, "--paths", 4, *NOISE)
+SHORTEST = ("--n-starts", 3, "--paths", 1, *NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,7 @@ def test_a_sweep_tells_its_ends_apart(data: Path, tmp_path: Path) -> None:
 def test_the_same_command_again_computes_nothing_and_says_the_same(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ("sweep", "reference", data, *SHORT, "--method", "complex", "--budget", 25)
+    words = ("sweep", "reference", data, *SHORTEST, "--method", "complex", "--budget", 25)
     assert run(*words, "--out", tmp_path).exit_code == 0
     first = summary(tmp_path)
 
@@ -61,7 +63,7 @@ def test_the_same_command_again_computes_nothing_and_says_the_same(
 
 
 def test_another_question_in_the_same_folder_is_a_new_run(data: Path, tmp_path: Path) -> None:
-    words = ("sweep", "reference", data, *SHORT, "--out", tmp_path)
+    words = ("sweep", "reference", data, *SHORTEST, "--out", tmp_path)
     assert run(*words).exit_code == 0
     first = summary(tmp_path)
     assert run(*words, "--seed", 1).exit_code == 0
@@ -72,9 +74,9 @@ def test_fixed_parameters_are_not_swept_and_json_is_all_that_is_printed(
     data: Path, tmp_path: Path
 ) -> None:
     fixed = ("--fix", "PCL.stiffness_kN", "--fix", "PCL.reference_strain_pct", "--json")
-    result = run("sweep", "reference", data, *SHORT, *fixed, "--out", tmp_path)
+    result = run("sweep", "reference", data, *SHORTEST, *fixed, "--out", tmp_path)
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["n_starts"] == 12
+    assert json.loads(result.stdout)["n_starts"] == 3
     assert len(summary(tmp_path)["basins"][0]["parameters"]) == 6
 
 

@@ -11,7 +11,7 @@ from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 SD = 0.3
-# A fit ends where a step promises less than its tolerance of the deviance.
+# A fit ends where a step predicts less than its tolerance of the deviance.
 SAME_FIT = 1e-3
 
 

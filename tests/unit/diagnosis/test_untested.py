@@ -125,7 +125,7 @@ def test_an_unfinished_fit_is_excluded_only_if_its_promise_would_not_help(
     (stuck,) = concluded([ended(strong, Outcome.CLIFF)])[0].rivals
     assert stuck.refit.promised_fall < 1e-2
     assert stuck.state is RivalState.EXCLUDED
-    # Where it began the straight model promises most of what the fit then gained.
+    # Where it began the linear model predicts most of what the fit then gained.
     fitted = strong.fitted
     start = fitted.theta.copy()
     start[-strong.causes[-1].parameters.n :] *= 0.5

@@ -22,7 +22,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import open_work
 
-# A search ends where a step promises less than 1e-8 of the range: the value is that close, the
+# A search ends where a step predicts less than 1e-8 of the range: the value is that close, the
 # place its square root.
 VALUE = 1e-6
 N_SETS = 30

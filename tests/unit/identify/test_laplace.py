@@ -241,7 +241,7 @@ def test_a_fit_stopped_short_has_no_end_at_its_estimate() -> None:
     stopped = np.array(whole.theta)
     stopped[0] -= 3.0 * whole.sd[0]
     found = laplace(problem(stopped), made.parameters, SD * np.eye(N_DATA))
-    # The straight model puts the interval above the estimate, which is then its lower end.
+    # The linear model puts the interval above the estimate, which is then its lower end.
     assert found.lower[0] == found.theta[0]
     assert found.is_lower_open[0]
     assert found.is_upper_open[0]

@@ -276,7 +276,7 @@ def test_a_fit_stopped_at_the_boundary_lends_the_curve_no_slope() -> None:
     walk = ProfileContext(evaluator, _first(problem), 3.84, evaluator(problem.minimum))
     sd, best = _first_sd(problem), float(problem.minimum[0])
     points = [walk.point(walk.solve(best + x * sd, problem.minimum)) for x in (0.0, 0.5, 1.5)]
-    stopped = replace(points[1], slope=-99.0, promise=walk.threshold)
+    stopped = replace(points[1], slope=-99.0, predicted_reduction=walk.threshold)
     exact = curve_slopes(walk, points)
     found = curve_slopes(walk, [points[0], stopped, points[2]])
     np.testing.assert_array_equal(exact, [x.slope for x in points])
@@ -308,7 +308,7 @@ def test_the_budget_leaves_a_side_open_and_claims_nothing() -> None:
     assert found.verdict is ProfileVerdict.UNDETERMINED
 
 
-def test_a_fit_that_the_budget_did_not_allow_is_a_point_without_a_promise() -> None:
+def test_a_fit_that_the_budget_did_not_allow_is_a_point_without_a_predicted_reduction() -> None:
     """A better optimum met with the last simulation starts a profile over without any left."""
     problem = linear()
     evaluator = Evaluator(problem, budget=1)

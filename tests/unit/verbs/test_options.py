@@ -10,7 +10,7 @@ import pytest
 import identknee as ik
 from identknee.cli.verb_command import command_of
 from identknee.report.presenter import PRESENTERS
-from identknee.verbs.options import option_of, parameters_in_full
+from identknee.verbs.options import as_typed, option_of, parameters_in_full
 from identknee.verbs.printer import Printer, set_printer
 from identknee.verbs.registry import Verb, verbs
 
@@ -27,7 +27,7 @@ def test_a_command_has_the_options_of_its_verb_with_their_texts_and_defaults(ver
             assert name not in command
             continue
         shown = command[name]
-        assert str(shown.help).startswith(said.text)  # type: ignore[attr-defined]
+        assert str(shown.help).startswith(as_typed(said.text))  # type: ignore[attr-defined]
         if name == "out":
             assert str(shown.default) == verb.folder
         elif own.default is not own.empty and own.default is not None:
