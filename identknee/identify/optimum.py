@@ -13,6 +13,8 @@ from identknee.calibrate.problem import (
     evaluate,
     with_nuisance_priors,
 )
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
@@ -22,6 +24,10 @@ from identknee.runs.record import Outcome
 N_STARTS = 16
 # How many prior standard deviations around the subject's values the other starts lie in.
 REACH = 2.0
+# Of several brief fits the lowest that go on: where they end is not the order in which they began.
+N_FINISHED = 4
+# kN, and % of strain at the longest measured length.
+LEAST_STIFFNESS, STRETCHES = 1.0, (-3.0, 10.0)
 
 
 def best_fit(
@@ -56,16 +62,20 @@ def best_fits(
     seed: int = 0,
     executor: Executor = serial,
     budget: int | None = None,
+    points: Array | None = None,
 ) -> tuple[Fit, ...]:
     """The seventeen fits that `best_fit` is the lowest of, from low to high; as there.
 
-    With a budget each has so many simulations, and only the lowest goes on to its end.
+    With a budget each has so many simulations, and only the lowest few go on to their ends. Others
+    begin at `points` in place of those around the start, shape ``(k, n)``, where these are given.
     """
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
     check_within_bounds(first, parameters)
     begun = fit(problem, first, seed=seed, budget=budget)
-    fits = with_fits_around(problem, begun, N_STARTS, executor=executor, budget=budget)
+    if points is None:
+        points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
+    fits = with_fits_from(problem, begun, points, executor=executor, budget=budget)
     if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
@@ -74,17 +84,15 @@ def best_fits(
     return fits
 
 
-def with_fits_around(
+def with_fits_from(
     problem: Problem,
     first: Fit,
-    n: int,
+    points: Array,
     *,
     executor: Executor = serial,
     budget: int | None = None,
 ) -> tuple[Fit, ...]:
-    """A fit and those from `n` points around its start, from low to high.
-
-    The points are of a Sobol sequence within two prior standard deviations of the start.
+    """A fit and those from other points, from low to high.
 
     Parameters
     ----------
@@ -92,27 +100,72 @@ def with_fits_around(
         That of the fit.
     first
         The fit. Its seed, its fixed parameters and its use of priors are theirs too.
-    n
-        Number of points.
+    points
+        Where the others begin, shape ``(k, n)``; what the fit holds is held at its value there.
     executor
         Anything with an ordered ``map``.
     budget
-        Simulations allowed for each; only the lowest goes on to its end.
+        Simulations allowed for each; only the lowest few go on to their ends.
     """
-    parameters, seed = problem.parameters, first.seed
-    points = sobol_around(parameters, first.start, n, reach=REACH, seed=seed)
-    held = [parameters.index(x) for x in first.fixed]
+    seed, held = first.seed, [problem.parameters.index(x) for x in first.fixed]
+    points = np.clip(points, problem.parameters.lower, problem.parameters.upper)
     points[:, held] = first.start[held]
     how: FitSettings = {"fixed": first.fixed, "priors": first.priors}
     brief: FitSettings = {"budget": budget, **how}
     around = fit_many(problem, points, seed=seed, executor=executor, **brief)
     fits = sorted([first, *around], key=lambda one: one.objective)
-    if budget is not None and fits[0].outcome is Outcome.BUDGET:
-        further = fit(problem, fits[0].theta, seed=seed, **how)
-        fits[0] = replace(
-            further, start=fits[0].start, n_simulations=budget + further.n_simulations
-        )
-    return tuple(fits)
+    if budget is None:
+        return tuple(fits)
+    unfinished = [i for i, x in enumerate(fits[:N_FINISHED]) if x.outcome is Outcome.BUDGET]
+    thetas = np.array([fits[i].theta for i in unfinished]).reshape(-1, first.theta.size)
+    ends = fit_many(problem, thetas, seed=seed, executor=executor, **how)
+    for i, end in zip(unfinished, ends, strict=True):
+        n = fits[i].n_simulations + end.n_simulations
+        fits[i] = replace(end, start=fits[i].start, n_simulations=n)
+    return tuple(sorted(fits, key=lambda one: one.objective))
+
+
+def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
+    """Where other searches begin, shape ``(n, p)``: around the start, and by stretch.
+
+    Half of them each where the model begins at measured poses, else all around the start.
+    """
+    m = n if model.poses is None else n - n // 2
+    around = sobol_around(model.parameters, start, m, reach=REACH, seed=seed)
+    if m == n:
+        return around
+    nuisances = ~model.parameters.is_of_interest
+    middle = np.where(nuisances, model.parameters.start, start)
+    return np.vstack([around, starts_by_stretch(model, middle, n - m, seed=seed)])
+
+
+def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
+    """Starts whose ligaments are stretched by a few percent in the measured poses, ``(n, p)``.
+
+    A Sobol sequence in the logarithm of each stiffness, within its bounds and above 1 kN, and in
+    the strain of each ligament at the longest of its measured lengths, from -3 to 10 %. Most points
+    of the box of parameters stretch some ligament until nothing balances it.
+
+    Parameters
+    ----------
+    model
+        A model that begins at measured poses.
+    start
+        Values of all other parameters, shape ``(p,)``.
+    n
+        Number of starts.
+    seed
+        Seed of the scrambling.
+    """
+    u, parameters = model.tied.n, model.parameters
+    drawn = scipy.stats.qmc.Sobol(2 * u, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
+    low, high = np.maximum(parameters.lower[:u], LEAST_STIFFNESS), parameters.upper[:u]
+    slack = strains_as_measured(model.setting(start), 0.0)[: len(model.knee.ligaments)]
+    starts = np.tile(start, (n, 1))
+    starts[:, :u] = low * (high / low) ** drawn[:, :u]
+    strains = model.tied.strain_upper_limits(slack) + STRETCHES[0]
+    starts[:, u : 2 * u] = strains + (STRETCHES[1] - STRETCHES[0]) * drawn[:, u:]
+    return np.clip(starts, parameters.lower, parameters.upper)
 
 
 def check_within_bounds(theta: Array, parameters: Parameters) -> None:

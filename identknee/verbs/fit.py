@@ -31,7 +31,12 @@ from identknee.checks.usable_trials import (
     table_model,
     unfitted_findings,
 )
-from identknee.identify.optimum import N_STARTS, nuisance_estimates, with_fits_around
+from identknee.identify.optimum import (
+    N_STARTS,
+    nuisance_estimates,
+    starts_elsewhere,
+    with_fits_from,
+)
 from identknee.laxity.protocol import ABSOLUTE
 from identknee.laxity.table import (
     COORDINATES,
@@ -436,13 +441,12 @@ def fit(
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
     if more_starts and not is_robust and method == "least-squares":
-        budget_of_each = BRIEF if problem.parameters.nuisance_names else budget
-        fits = with_fits_around(
+        fits = with_fits_from(
             trials.problem_everywhere(used.laxity),
             replace(found, start=used.start),
-            more_starts,
+            starts_elsewhere(model, used.start, more_starts, seed=seed),
             executor=run.executor,
-            budget=budget_of_each,
+            budget=BRIEF if problem.parameters.nuisance_names else budget,
         )
         found = fits[0]
     prediction = model.predict(found.theta, derivatives=False)

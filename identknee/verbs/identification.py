@@ -35,9 +35,11 @@ from identknee.checks.usable_trials import (
     trial_names,
 )
 from identknee.identify.optimum import (
+    N_STARTS,
     EstimatedNoise,
     check_within_bounds,
     nuisance_estimates,
+    starts_elsewhere,
     with_estimated_noise,
 )
 from identknee.identify.optimum import best_fits as find_best_fits
@@ -57,7 +59,7 @@ from identknee.verbs.verb import warm_up
 
 # Simulations of a search that is only to tell whether it is the lowest. Of a measured knee with 104
 # parameters 15 of 17 came within 4 of their last deviance in so many.
-BRIEF = 60
+BRIEF = 100
 # Of lengths and of angles [mm, deg].
 Sizes = tuple[float | None, float | None]
 
@@ -318,9 +320,16 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     """
     check_start(setup)
     budget = BRIEF if setup.problem.parameters.nuisance_names else None
+    start = setup.free.expand(setup.start)
+    points = setup.free.restrict(starts_elsewhere(setup.model, start, N_STARTS, seed=seed))
     try:
         return find_best_fits(
-            setup.everywhere, start=setup.start, seed=seed, executor=executor, budget=budget
+            setup.everywhere,
+            start=setup.start,
+            seed=seed,
+            executor=executor,
+            budget=budget,
+            points=points,
         )
     except ValueError as error:
         raise no_prediction(setup) from error

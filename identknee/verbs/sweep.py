@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Literal, Unpack
 
-from identknee.calibrate.fit import BUDGET
-from identknee.checks.fit_checks import start_findings
+import numpy as np
+
+from identknee.calibrate.fit import BUDGET, Fit
+from identknee.checks.fit_checks import SAME, start_findings
 from identknee.identify.cliffs import CliffMap, map_cliffs
 from identknee.identify.sweep import (
     STARTS_A_TASK,
@@ -19,13 +21,18 @@ from identknee.identify.sweep import survey as surveyed
 from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import Identification, identification, no_prediction_finding
+from identknee.verbs.identification import (
+    Identification,
+    best_fits,
+    identification,
+    no_prediction_finding,
+)
 from identknee.verbs.options import option
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
@@ -44,6 +51,13 @@ class Sweep(Answer):
 
     design: str = entry("Design of the starts, sobol or shells")
     survey: Survey = entry("The searches and what is read from them", is_inline=True)
+    best: Fit | None = entry(
+        "The best fit that other verbs find, where no polished end is as low; null elsewhere",
+        group="best",
+    )
+    n_trials_lost: IntArray = array(
+        "Measured trials without equilibrium at each polished end", "start", dtype=int
+    )
     cliffs: CliffMap | None = entry(
         "Cliffs on straight paths from starts to the best fit; null where none was looked for",
         group="cliffs",
@@ -146,17 +160,44 @@ def sweep(
             executor=run.executor,
             store=run.store,
         )
-        survey = surveyed(setup.everywhere, searches, within=within)
+        lowest = _lowest_known(run, setup, seed)
+        is_lower = lowest is not None and lowest.objective < searches.lowest_objective - 0.5 * SAME
+        survey = surveyed(
+            setup.everywhere,
+            searches,
+            target=lowest.theta if lowest is not None and is_lower else None,
+            within=within,
+        )
         cliffs = _cliffs(run, setup, survey, paths)
     return Sweep(
         design=design,
         survey=survey,
+        best=lowest if is_lower else None,
+        n_trials_lost=_numbers_lost(setup, searches),
         cliffs=cliffs,
         assumptions=setup.assumptions,
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
         findings=_findings(setup, survey),
     )
+
+
+def _lowest_known(run: Run, setup: Identification, seed: int) -> Fit | None:
+    """The best fit of the other verbs, where searches begin at measured poses; None elsewhere."""
+    if setup.everywhere is setup.problem:
+        return None
+    return best_fits(setup, seed=seed, executor=run.executor)[0]
+
+
+def _numbers_lost(setup: Identification, searches: SweepSearches) -> IntArray:
+    """How many trials used have no equilibrium at each polished end, shape ``(N,)``."""
+    if setup.everywhere is setup.problem:
+        return np.zeros(searches.n, int)
+    measured = setup.laxity.is_measured.any(axis=1)
+    predictions = (
+        setup.model.predict(setup.free.expand(x), derivatives=False) for x in searches.polished
+    )
+    return np.array([int(np.sum(measured & ~x.is_converged)) for x in predictions])
 
 
 def trials_lost(model: LaxityModel, theta: Array) -> list[str]:
@@ -203,7 +244,8 @@ def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
     if survey.target is None:
         return (no_prediction_finding(setup),)
     deviances = 2.0 * searches.polished_objectives
+    at_target = setup.problem.residuals(survey.target)
     return (
-        *setup.findings_at(survey.target, float(deviances[searches.best])),
+        *setup.findings_at(survey.target, float(at_target @ at_target)),
         *start_findings(searches.polished, deviances, searches.parameters),
     )
