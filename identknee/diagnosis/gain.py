@@ -454,7 +454,7 @@ class _Kept:
 
     memory: _MemoisedProblem
     rows: IntArray
-    factor: Array
+    noise: NoiseModel
 
     @property
     def parameters(self) -> Parameters:
@@ -466,12 +466,12 @@ class _Kept:
         residuals = self.memory(theta).residuals[self.rows]
         if not np.isfinite(residuals).all():
             return residuals
-        return np.asarray(solve_triangular(self.factor, residuals, lower=True))
+        return self.noise.whiten(residuals)
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m_kept, p)``."""
         jacobian = self.memory(theta).jacobian[self.rows]
-        return np.asarray(solve_triangular(self.factor, jacobian, lower=True))
+        return self.noise.whiten(jacobian)
 
 
 def _score(
@@ -482,26 +482,25 @@ def _score(
     rows: tuple[IntArray, IntArray],
 ) -> FoldScore:
     held, kept = rows
-    covariance = observations.noise.covariance
-    factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(kept, kept)]))
-    problem = ProblemWithPriors(problem=_Kept(memory=memory, rows=kept, factor=factor))
+    noise = observations.noise
+    among = noise.of(np.isin(np.arange(noise.n), kept))
+    problem = ProblemWithPriors(problem=_Kept(memory=memory, rows=kept, noise=among))
     found = minimise(Evaluator(problem), theta, tolerance=TOLERANCE, most_steps=MOST_STEPS)
     if not found.evaluation.is_finite:
         return _unscored(fold, observations, theta.size, FoldStatus.FAILED)
     at = memory(found.evaluation.theta)
     # What errors of the trials kept tell about those of the trials held.
-    shared = covariance[np.ix_(held, kept)]
-    weights = cho_solve((factor, True), shared.T).T
-    left = -(at.residuals[held] - weights @ at.residuals[kept])
-    slope = at.jacobian[held] - weights @ at.jacobian[kept]
-    spread = covariance[np.ix_(held, held)] - weights @ shared.T
+    weights = among.whiten(noise.between(kept, held)).T
+    left = -(at.residuals[held] - weights @ among.whiten(at.residuals[kept]))
+    slope = at.jacobian[held] - weights @ among.whiten(at.jacobian[kept])
+    spread = noise.between(held, held) - weights @ weights.T
     # The parameters vary too, but for those that a bound holds.
     jacobian, free = found.evaluation.jacobian, np.flatnonzero(~found.is_held)
     own_covariance = np.zeros((jacobian.shape[1],) * 2)
     information = jacobian[:, free].T @ jacobian[:, free]
     own_covariance[np.ix_(free, free)] = cho_solve(cho_factor(information), np.eye(free.size))
     spread += slope @ own_covariance @ slope.T
-    errors, predicted = (np.full(len(covariance), np.nan) for _ in range(2))
+    errors, predicted = (np.full(noise.n, np.nan) for _ in range(2))
     errors[held], predicted[held] = left, np.sqrt(np.diag(spread))
     # Log density of each trial's values together, shape ``(n,)``; NaN where it has none.
     trial = observations.trial[held]
@@ -533,7 +532,7 @@ def _depends_on_prior(
     steps = p.prior_sd * np.where(p.is_log, whole.theta, 1.0)
     scaled = whole.jacobian / observations.sd[:, None] * steps
     held, kept = (scaled[x] for x in rows)
-    _, sizes, directions = np.linalg.svd(kept)
+    _, sizes, directions = np.linalg.svd(np.linalg.qr(kept, mode="r"))
     least = LEAST_SINGULAR_VALUE * max(sizes[0], np.finfo(float).tiny)
     unseen = held @ directions[np.count_nonzero(sizes > least) :].T
     return bool(np.any(np.linalg.norm(unseen, axis=1) > 1.0))
@@ -649,7 +648,7 @@ def _signature(before: FoldScore, after: FoldScore, observations: Observations) 
     """Squared distance of the two predictions of a fold, in units of the noise."""
     held = np.flatnonzero(before.fold.held[observations.trial])
     apart = before.errors[held] - after.errors[held]
-    covariance = observations.noise.covariance[np.ix_(held, held)]
+    covariance = observations.noise.between(held, held)
     return float(apart @ np.linalg.solve(covariance, apart))
 
 
@@ -826,7 +825,7 @@ def _assess(
         errors=errors,
         in_sample=observations.rmse(errors),
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
-        posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
+        posterior=laplace(at, fitted.model.parameters, observations.noise.scale),
     )
 
 
