@@ -6,6 +6,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.sparse import csr_array
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
@@ -277,18 +278,20 @@ def estimate_correlation(
     for first, second in combinations(range(residuals.shape[1]), 2):
         used = is_measured[:, first] & is_measured[:, second]
         # The sum over curves of the projections that remove a polynomial, shape ``(n, n)``.
-        left = np.zeros((len(used), len(used)))
+        parts = [(np.zeros(0), np.zeros((2, 0), int))]
         for curve in curves:
             on = used[curve.trials]
             trials, load = curve.trials[on], curve.load[on]
             degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
             if degree >= 1:
                 smooth, _ = np.linalg.qr(_powers(load, degree))
-                left[np.ix_(trials, trials)] += np.eye(len(trials)) - smooth @ smooth.T
+                rough = np.eye(len(trials)) - smooth @ smooth.T
+                parts.append((rough.ravel(), np.stack(np.meshgrid(trials, trials)).reshape(2, -1)))
+        left = _sparse(parts, len(used), len(used))
         if _degrees_of_freedom(left) < LEAST_DEGREES:
             continue
         pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
-        products = pair.T @ left @ pair
+        products = pair.T @ (left @ pair)
         size = np.sqrt(products[0, 0] * products[1, 1])
         if size > 0:
             found.append(products[0, 1] / size)
@@ -341,17 +344,16 @@ def estimate_scale(
     for column in range(values.shape[1]):
         used = is_measured[:, column]
         # Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``.
-        rows = [np.zeros((0, len(used)))]
+        parts, n_rows = [(np.zeros(0), np.zeros((2, 0), int))], 0
         for curve in curves:
             on = used[curve.trials]
             trials, load = curve.trials[on], curve.load[on]
             for start in range(len(trials) - WINDOW + 1):
                 window = slice(start, start + WINDOW)
                 whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-                row = np.zeros((1, len(used)))
-                row[0, trials[window]] = whole[:, -1]
-                rows.append(row)
-        contrasts = np.concatenate(rows)
+                parts.append((whole[:, -1], np.stack([np.full(WINDOW, n_rows), trials[window]])))
+                n_rows += 1
+        contrasts = _sparse(parts, n_rows, len(used))
         degrees += _degrees_of_freedom(contrasts.T @ contrasts)
         found.append(contrasts @ np.where(used, values[:, column], 0.0))
     degrees *= QUANTILE_EFFICIENCY
@@ -361,10 +363,16 @@ def estimate_scale(
     return EstimatedScale(sd=sd, degrees_of_freedom=degrees)
 
 
-def _degrees_of_freedom(left: Array) -> float:
+def _sparse(parts: Sequence[tuple[Array, IntArray]], rows: int, columns: int) -> csr_array:
+    """The sum of entries given with their places (2, k), shape ``(rows, columns)``."""
+    values, places = zip(*parts, strict=True)
+    return csr_array((np.concatenate(values), np.concatenate(places, axis=1)), (rows, columns))
+
+
+def _degrees_of_freedom(left: csr_array) -> float:
     """Degrees of freedom of the quadratic form `left`, by its first two moments."""
-    squares = float(np.sum(left**2))
-    return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
+    squares = float(np.sum(left.data**2))
+    return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
 
 
 def _powers(load: Array, degree: int) -> Array:

@@ -527,6 +527,20 @@ def nominal_flexion(protocol: Protocol) -> Array:
     return np.asarray(np.round(sums / np.bincount(cluster))[cluster])
 
 
+# More angles than this are shown together with those near them, in steps of so many degrees.
+MOST_ANGLES, ANGLE_STEP_DEG = 50, 15.0
+
+
+def shown_flexion(flexion_deg: Array) -> Array:
+    """The angle under which each trial is shown [deg], any shape.
+
+    Its own, or the nearest of a few where trials have too many angles for a map or a legend.
+    """
+    if np.unique(flexion_deg).size <= MOST_ANGLES:
+        return flexion_deg
+    return np.asarray(ANGLE_STEP_DEG * np.round(flexion_deg / ANGLE_STEP_DEG))
+
+
 def opposite_pairs(protocol: Protocol) -> IntArray:
     """Pairs of trials under opposite loads at about the same flexion, shape ``(k, 2)``.
 
