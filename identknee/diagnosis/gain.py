@@ -15,6 +15,7 @@ from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, 
 from identknee.diagnosis.noise_model import NoiseModel
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.laxity.protocol import (
+    ABSOLUTE,
     DIRECTIONS,
     SAME_ANGLE_DEG,
     Protocol,
@@ -173,6 +174,8 @@ LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
 LEAST_LENGTH, MOST_LENGTH = 0.4, 5.0
 START_SPREAD, START_LENGTH = 1.0, 0.7
 MOST_ITERATIONS = 30
+# Values of which trials are held out and to which a process is fitted, three hundred trials.
+MOST_VALUES = 1_500
 
 
 @declared
@@ -760,6 +763,9 @@ def measure_gain(
 ) -> Gain:
     """What the model `after` gains over `before`, fitted to the same data.
 
+    Trials are held out, and a process is fitted, among 1,500 values at most, of trials drawn at
+    random: both take the cube of their number.
+
     Parameters
     ----------
     before, after
@@ -769,17 +775,26 @@ def measure_gain(
     noise_degrees
         Degrees of freedom of the noise where it is an estimate.
     """
-    laxity = before.laxity
-    observations = observations_of(laxity, sd, before.noise)
-    folds = held_out_folds(laxity.protocol)
-    assessed = [_assess(x, observations, folds, noise_degrees) for x in (before, after)]
-    discrepancy = fit_discrepancy(before.compared, observations, before.theta, laxity.protocol)
+    observations = observations_of(before.laxity, sd, before.noise)
+    is_used = _sampled_trials(before.laxity)
+    parts = before, after
+    if not is_used.all():
+        parts = _part(before, is_used), _part(after, is_used)
+        sd = sd if parts[0].laxity.n == len(sd) else sd[is_used]
+    base, protocol = parts[0], parts[0].laxity.protocol
+    sampled, folds = observations_of(base.laxity, sd, base.noise), held_out_folds(protocol)
+    assessed = [
+        _assess(x, observations, held_out(y.compared, sampled, y.theta, folds), noise_degrees)
+        for x, y in zip((before, after), parts, strict=True)
+    ]
+    discrepancy = fit_discrepancy(base.compared, sampled, base.theta, protocol)
     # The same fit under the process as noise.
-    absorbed = _assess(before, discrepancy.observations, folds, noise_degrees)
+    noisier = discrepancy.observations
+    absorbed = _assess(
+        base, noisier, held_out(base.compared, noisier, base.theta, folds), noise_degrees
+    )
     absorbed = replace(
-        absorbed,
-        errors=discrepancy.errors,
-        in_sample=observations.rmse(discrepancy.errors),
+        absorbed, errors=discrepancy.errors, in_sample=sampled.rmse(discrepancy.errors)
     )
     explained = {}
     for k in np.unique(observations.coordinate):
@@ -809,8 +824,37 @@ def measure_gain(
     )
 
 
+def _sampled_trials(laxity: Laxity) -> BoolArray:
+    """The trials of which some are held out: all, or as many at random as have so many values."""
+    order = np.random.default_rng(0).permutation(laxity.n)
+    n_values = np.cumsum(laxity.is_measured.sum(axis=1)[order])
+    is_used = np.zeros(laxity.n, bool)
+    is_used[order[(n_values <= MOST_VALUES) | (n_values[-1] <= MOST_VALUES)]] = True
+    return is_used
+
+
+def _part(fitted: FittedModel, is_used: BoolArray) -> FittedModel:
+    """A fit to all trials as it is for some of them."""
+    laxity = fitted.laxity
+    if laxity.zero == ABSOLUTE:
+        laxity = laxity.select(is_used)
+    else:
+        # Coordinates may count from any of the others.
+        laxity = replace(laxity, coordinates=np.where(is_used[:, None], laxity.coordinates, np.nan))
+    rows = np.broadcast_to(is_used[:, None], fitted.laxity.is_measured.shape)
+    noise = fitted.noise.of(rows[fitted.laxity.is_measured])
+    model = fitted.model.with_tests(laxity)
+    at = evaluate(whitened_problem(model, laxity, noise), fitted.theta)
+    return FittedModel(
+        model=model,
+        laxity=laxity,
+        noise=noise,
+        constrained=replace(fitted.constrained, evaluation=at),
+    )
+
+
 def _assess(
-    fitted: FittedModel, observations: Observations, folds: Sequence[Fold], noise_degrees: float
+    fitted: FittedModel, observations: Observations, held: CrossValidation, noise_degrees: float
 ) -> Assessment:
     at = fitted.evaluation
     if observations.noise is not fitted.noise:
@@ -824,7 +868,7 @@ def _assess(
         ),
         errors=errors,
         in_sample=observations.rmse(errors),
-        held_out=held_out(fitted.compared, observations, fitted.theta, folds),
+        held_out=held,
         posterior=laplace(at, fitted.model.parameters, observations.noise.scale),
     )
 

@@ -76,6 +76,7 @@ def test_the_sparse_form_is_the_dense_one() -> None:
     without = found.without(own)
     assert without.square == pytest.approx(rest[0], rel=CLOSED_FORM)
     np.testing.assert_allclose(without.sizes[own], 0.0, atol=CLOSED_FORM)
+    np.testing.assert_allclose(without.left[own], 0.0, atol=CLOSED_FORM)
 
 
 def test_four_times_the_trials_need_four_times_the_memory() -> None:
