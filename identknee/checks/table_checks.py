@@ -3,9 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.sparse import csr_array, diags_array
 from scipy.special import chdtrc, fdtrc
 
 from identknee.calibrate.fit import fit
@@ -165,37 +167,69 @@ class LeaveOneOut:
     """Leave-one-out residuals of a fit, for any subset of the measured values.
 
     A value that is wrong by ``x`` adds ``x`` times its column to what is left. With one more
-    parameter for each value left out this is exact for a linear model.
+    parameter for each value left out this is exact for a linear model. The inner products of
+    what is left of the columns are ``own - explained' explained``; no matrix is as large as the
+    number of values squared.
     """
 
-    products: Array = array("Inner products of those columns", "value", "value")
-    left: Array = array("Inner products of what is left with them", "value")
+    own: Any = entry("Inner products of the columns themselves, sparse, shape ``(k, k)``")
+    explained: Array = array(
+        "Parts of the columns that the parameters, and values left out, make up for",
+        *("direction", "value"),
+    )
+    left: Array = array("Inner products of what is left with the columns", "value")
     square: float = entry("Sum of squares of what is left", unit="1")
     degrees: int = entry("Degrees of freedom of it", unit="1")
 
-    def fall(self, chosen: IntArray) -> float:
-        """Reduction of the sum of squares without the values `chosen`."""
-        block = self.products[np.ix_(chosen, chosen)]
-        return float(self.left[chosen] @ _inverse(block) @ self.left[chosen])
+    @property
+    def sizes(self) -> Array:
+        """Inner product of each column with itself, shape ``(k,)``."""
+        return np.asarray(self.own.diagonal() - (self.explained**2).sum(axis=0))
+
+    def falls(self, chosen: IntArray, is_used: BoolArray) -> Array:
+        """Reduction of the sum of squares without one of several groups of values, shape ``(t,)``.
+
+        Parameters
+        ----------
+        chosen
+            The values of each group, shape ``(t, w)``.
+        is_used
+            Those of them that count, shape ``(t, w)``.
+        """
+        left = np.where(is_used, self.left[chosen], 0.0)
+        inverse = _inverse(self._blocks(chosen) * (is_used[:, :, None] & is_used[:, None, :]))
+        return np.asarray(np.einsum("ti,tij,tj->t", left, inverse, left))
 
     def without(self, chosen: IntArray) -> "LeaveOneOut":
         """Residuals of the fit without the values `chosen`."""
-        block, columns = self.products[np.ix_(chosen, chosen)], self.products[:, chosen]
-        half = _inverse(block) @ np.column_stack([columns.T, self.left[chosen]])
+        explained = self.explained
+        products = self.own[chosen].toarray() - explained[:, chosen].T @ explained
+        values, vectors = np.linalg.eigh(products[:, chosen])
+        is_seen = values > LEAST_LEFT * np.abs(values).max()
+        roots = vectors[:, is_seen] / np.sqrt(values[is_seen])
+        off, rows = roots.T @ self.left[chosen], roots.T @ products
         return LeaveOneOut(
-            products=self.products - columns @ half[:, :-1],
-            left=self.left - columns @ half[:, -1],
-            square=max(self.square - self.fall(chosen), 0.0),
+            own=self.own,
+            explained=np.vstack([explained, rows]),
+            left=self.left - off @ rows,
+            square=max(self.square - float(off @ off), 0.0),
             degrees=self.degrees - len(chosen),
         )
 
+    def _blocks(self, chosen: IntArray) -> Array:
+        """Inner products within each group of values, shape ``(t, w, w)``."""
+        trials, width = chosen.shape
+        own = self.own[np.repeat(chosen, width, axis=1), np.tile(chosen, (1, width))]
+        explained = self.explained.T[chosen]
+        return np.asarray(own.toarray().reshape(trials, width, width) - explained @ explained.mT)
 
-def _inverse(block: Array) -> Array:
-    """Pseudo-inverse of a matrix of inner products, which may be linearly dependent."""
-    return np.asarray(np.linalg.pinv(block, rcond=LEAST_LEFT, hermitian=True), float)
+
+def _inverse(blocks: Array) -> Array:
+    """Pseudo-inverses of matrices of inner products, which may be linearly dependent."""
+    return np.asarray(np.linalg.pinv(blocks, rcond=LEAST_LEFT, hermitian=True), float)
 
 
-def leave_one_out(residuals: Array, jacobian: Array, columns: Array) -> LeaveOneOut:
+def leave_one_out(residuals: Array, jacobian: Array, columns: Any) -> LeaveOneOut:
     """Leave-one-out residuals of a fit, from its residuals in units of their noise.
 
     Parameters
@@ -205,17 +239,19 @@ def leave_one_out(residuals: Array, jacobian: Array, columns: Array) -> LeaveOne
     jacobian
         Their derivatives by the parameters that are free, shape ``(m, p)``.
     columns
-        How each measured value enters the residuals, shape ``(m, k)``.
+        How each measured value enters the residuals, shape ``(m, k)``; a sparse matrix where there
+        are many.
     """
     sizes = np.linalg.norm(jacobian, axis=0)
     used = jacobian[:, sizes > 0.0] / sizes[sizes > 0.0]
     basis, spread, _ = np.linalg.svd(used, full_matrices=False)
     basis = basis[:, spread > LEAST_LEFT * spread.max(initial=0.0)]
     rest = residuals - basis @ (basis.T @ residuals)
-    free = columns - basis @ (basis.T @ columns)
+    sparse = csr_array(columns)
     return LeaveOneOut(
-        products=free.T @ free,
-        left=free.T @ rest,
+        own=sparse.T @ sparse,
+        explained=(sparse.T @ basis).T,
+        left=sparse.T @ rest,
         square=float(rest @ rest),
         degrees=len(residuals) - basis.shape[1],
     )
@@ -240,56 +276,64 @@ def suspicious_rows(
         How often a clean table may be accused.
     """
     found: list[SuspiciousRow] = []
-    names = np.unique(trials)
+    names, values, is_own = _by_trial(trials)
     if fit.square < LEAST_SQUARE * fit.degrees:
         return found
-    while fit.degrees > len(names) // 2:
-        looked = [(_p_value_of(fit, trials, x), x) for x in names.tolist()]
-        p_value, worst = min(looked, default=(1.0, -1))
-        if p_value > level:
+    while names.size and fit.degrees > len(names) // 2:
+        sizes = fit.sizes
+        # The values whose change the parameters and trials left out cannot make up for.
+        is_seen = is_own & (sizes[values] > LEAST_LEFT * sizes.max())
+        falls = fit.falls(values, is_seen)
+        p_values = _p_values_of(fit, np.where(is_seen, sizes[values], np.inf), values, falls)
+        worst = int(np.argmin(p_values))
+        if p_values[worst] > level:
             return found
         if len(found) >= max(1, int(MOST_SHARE * len(names))):
             return []
-        own = _seen(fit, trials, worst)
-        size = np.diag(fit.products)[own]
+        own = values[worst, is_seen[worst]]
+        size = sizes[own]
         off = fit.left[own] / size
-        errors = np.sqrt(max(fit.square - fit.fall(own), 0.0) / (fit.degrees - own.size) / size)
+        errors = np.sqrt(max(fit.square - falls[worst], 0.0) / (fit.degrees - own.size) / size)
         order = np.argsort(-np.abs(off) / errors)
         found.append(
             SuspiciousRow(
-                trial=worst,
+                trial=int(names[worst]),
                 coordinates=coordinates[own[order]],
                 off=off[order],
                 errors=errors[order],
-                p_value=p_value,
+                p_value=float(p_values[worst]),
             )
         )
         fit = fit.without(own)
     return found
 
 
-def _p_value_of(fit: LeaveOneOut, trials: IntArray, trial: int) -> float:
-    """Of one trial, as one of all trials and of all values; 1 where nothing can be said."""
-    own = _seen(fit, trials, trial)
-    if not own.size or fit.degrees <= own.size:
-        return 1.0
-    whole = _p_value(fit, fit.fall(own), own.size)
-    single = _p_value(fit, float((fit.left[own] ** 2 / np.diag(fit.products)[own]).max()), 1)
-    return min(1.0, 2.0 * min(np.unique(trials).size * whole, trials.size * single))
+def _by_trial(trials: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """The trials (t,), the values of each (t, w), and which of these places hold one."""
+    names, group, count = np.unique(trials, return_inverse=True, return_counts=True)
+    order = np.argsort(group, kind="stable")
+    values = np.zeros((names.size, count.max(initial=0)), dtype=np.int64)
+    is_own = np.arange(values.shape[1]) < count[:, None]
+    values[is_own] = order
+    return names, values, is_own
 
 
-def _p_value(fit: LeaveOneOut, fall: float, k: int) -> float:
-    """Probability of so great a fall of the square by chance if `k` values are left out."""
-    degrees = fit.degrees - k
-    rest = max(fit.square - fall, 0.0) / degrees
-    return float(fdtrc(k, degrees, fall / k / rest)) if rest > 0.0 else 1.0
+def _p_values_of(fit: LeaveOneOut, sizes: Array, values: IntArray, falls: Array) -> Array:
+    """Of each trial, as one of all trials and of all values; 1 where nothing can be said."""
+    counts = np.isfinite(sizes).sum(axis=1)
+    single = (fit.left[values] ** 2 / sizes).max(axis=1)
+    by_trial, by_value = _p_values(fit, falls, counts), _p_values(fit, single, np.ones_like(counts))
+    both = 2.0 * np.minimum(len(values) * by_trial, len(fit.left) * by_value)
+    return np.where((counts == 0) | (fit.degrees <= counts), 1.0, np.minimum(1.0, both))
 
 
-def _seen(fit: LeaveOneOut, trials: IntArray, trial: int) -> IntArray:
-    """The values of a trial whose change the parameters and trials left out cannot make up for."""
-    chosen = np.flatnonzero(trials == trial)
-    size = np.diag(fit.products)
-    return np.asarray(chosen[size[chosen] > LEAST_LEFT * size.max()])
+def _p_values(fit: LeaveOneOut, falls: Array, counts: IntArray) -> Array:
+    """Probability of so great a fall of the square by chance if so many values are left out."""
+    degrees, k = np.maximum(fit.degrees - counts, 1), np.maximum(counts, 1)
+    rest = np.maximum(fit.square - falls, 0.0) / degrees
+    is_known = rest > 0.0
+    ratio = falls / k / np.where(is_known, rest, 1.0)
+    return np.where(is_known, fdtrc(k, degrees, ratio), 1.0)
 
 
 def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
@@ -310,7 +354,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
     fit = leave_one_out(
         np.concatenate([x for x, _ in parts]) / spread,
         block_diag(*[X for _, X in parts]) / spread[:, None],
-        np.diag(1.0 / spread),
+        diags_array(1.0 / spread),
     )
     coordinates, places = np.nonzero(measured.T)
     return suspicious_rows(fit, rows[places], coordinates, level=TABLE_LEVEL)
@@ -398,14 +442,36 @@ def contradicted_rows(
     jacobian = compared.jacobian(theta)[
         :, [k for k, name in enumerate(own.names) if inside[k] and name not in fixed]
     ]
-    # A unit error in each measured value alone, shape ``(n, 5, m)``.
-    trials, coordinates = np.nonzero(laxity.is_measured)
-    errors = np.zeros((*laxity.coordinates.shape, trials.size))
-    errors[trials, coordinates, np.arange(trials.size)] = 1.0
-    columns = compared.weighted(errors)
+    # A unit error in each coordinate of each trial; errors of one trial change no other's rows.
+    unit = np.broadcast_to(np.eye(len(COORDINATES)), (laxity.n, *2 * [len(COORDINATES)]))
+    columns = columns_by_trial(compared.weighted(unit), laxity.is_measured)
     whiten = np.ones(left.size) if is_stated else 1.0 / _scales(compared, theta)
-    fitted = leave_one_out(-left * whiten, jacobian * whiten[:, None], columns * whiten[:, None])
+    fitted = leave_one_out(
+        -left * whiten, jacobian * whiten[:, None], diags_array(whiten) @ columns
+    )
     return suspicious_rows(fitted, *np.nonzero(laxity.is_measured))
+
+
+def columns_by_trial(rows: Array, is_measured: BoolArray) -> csr_array:
+    """How each measured value enters residuals that depend on those of its trial alone, sparse.
+
+    Parameters
+    ----------
+    rows
+        Change of each residual by an error of 1 in each coordinate of its trial, shape ``(m, 5)``.
+    is_measured
+        Which values there are, shape ``(n, 5)``.
+
+    Returns
+    -------
+    columns
+        Shape ``(m, m)``.
+    """
+    trial = np.nonzero(is_measured)[0]
+    place = np.cumsum(is_measured).reshape(is_measured.shape) - 1
+    row, coordinate = np.nonzero(is_measured[trial])
+    column = place[trial[row], coordinate]
+    return csr_array((rows[row, coordinate], (row, column)), shape=(len(rows), len(rows)))
 
 
 def without_rows(laxity: Laxity, rows: Iterable[SuspiciousRow]) -> Laxity:

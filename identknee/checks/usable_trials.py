@@ -269,7 +269,8 @@ def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
     """What was not measured at all: coordinates, and trials, which are only predicted."""
     columns = zip(COORDINATES, laxity.is_measured.T, strict=True)
     said = [f"{name} was not measured." for name, column in columns if not column.any()]
-    blank = [x for x in laxity.protocol.trials if x not in trial_names(laxity)]
+    known = set(trial_names(laxity))
+    blank = [x for x in laxity.protocol.trials if x not in known]
     if blank:
         are = "it is" if len(blank) == 1 else "they are"
         said.append(f"No value was measured in {', '.join(blank)}: {are} only predicted.")

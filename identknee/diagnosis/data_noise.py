@@ -38,8 +38,12 @@ def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
     for axis in range(len(LOADS)):
         others = np.delete(protocol.loads, axis, axis=1)
         setting = np.column_stack([protocol.flexion_deg, others])
-        for row in np.unique(setting, axis=0):
-            members = np.flatnonzero((setting == row).all(axis=1))
+        _, place, count = np.unique(setting, axis=0, return_inverse=True, return_counts=True)
+        order = np.argsort(place.ravel(), kind="stable")
+        for end, n in zip(np.cumsum(count).tolist(), count.tolist(), strict=True):
+            if n < LEAST_POINTS:
+                continue
+            members = order[end - n : end]
             load, first = np.unique(protocol.loads[members, axis], return_index=True)
             if len(load) >= LEAST_POINTS:
                 curves.append(Curve(trials=members[first], load=load))

@@ -15,6 +15,7 @@ from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, 
 from identknee.diagnosis.noise_model import NoiseModel
 from identknee.identify.laplace import Interval, Laplace, laplace
 from identknee.laxity.protocol import (
+    ABSOLUTE,
     DIRECTIONS,
     SAME_ANGLE_DEG,
     Protocol,
@@ -173,6 +174,8 @@ LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
 LEAST_LENGTH, MOST_LENGTH = 0.4, 5.0
 START_SPREAD, START_LENGTH = 1.0, 0.7
 MOST_ITERATIONS = 30
+# Values of which trials are held out and to which a process is fitted, three hundred trials.
+MOST_VALUES = 1_500
 
 
 @declared
@@ -454,7 +457,7 @@ class _Kept:
 
     memory: _MemoisedProblem
     rows: IntArray
-    factor: Array
+    noise: NoiseModel
 
     @property
     def parameters(self) -> Parameters:
@@ -466,12 +469,12 @@ class _Kept:
         residuals = self.memory(theta).residuals[self.rows]
         if not np.isfinite(residuals).all():
             return residuals
-        return np.asarray(solve_triangular(self.factor, residuals, lower=True))
+        return self.noise.whiten(residuals)
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m_kept, p)``."""
         jacobian = self.memory(theta).jacobian[self.rows]
-        return np.asarray(solve_triangular(self.factor, jacobian, lower=True))
+        return self.noise.whiten(jacobian)
 
 
 def _score(
@@ -482,26 +485,25 @@ def _score(
     rows: tuple[IntArray, IntArray],
 ) -> FoldScore:
     held, kept = rows
-    covariance = observations.noise.covariance
-    factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(kept, kept)]))
-    problem = ProblemWithPriors(problem=_Kept(memory=memory, rows=kept, factor=factor))
+    noise = observations.noise
+    among = noise.of(np.isin(np.arange(noise.n), kept))
+    problem = ProblemWithPriors(problem=_Kept(memory=memory, rows=kept, noise=among))
     found = minimise(Evaluator(problem), theta, tolerance=TOLERANCE, most_steps=MOST_STEPS)
     if not found.evaluation.is_finite:
         return _unscored(fold, observations, theta.size, FoldStatus.FAILED)
     at = memory(found.evaluation.theta)
     # What errors of the trials kept tell about those of the trials held.
-    shared = covariance[np.ix_(held, kept)]
-    weights = cho_solve((factor, True), shared.T).T
-    left = -(at.residuals[held] - weights @ at.residuals[kept])
-    slope = at.jacobian[held] - weights @ at.jacobian[kept]
-    spread = covariance[np.ix_(held, held)] - weights @ shared.T
+    weights = among.whiten(noise.between(kept, held)).T
+    left = -(at.residuals[held] - weights @ among.whiten(at.residuals[kept]))
+    slope = at.jacobian[held] - weights @ among.whiten(at.jacobian[kept])
+    spread = noise.between(held, held) - weights @ weights.T
     # The parameters vary too, but for those that a bound holds.
     jacobian, free = found.evaluation.jacobian, np.flatnonzero(~found.is_held)
     own_covariance = np.zeros((jacobian.shape[1],) * 2)
     information = jacobian[:, free].T @ jacobian[:, free]
     own_covariance[np.ix_(free, free)] = cho_solve(cho_factor(information), np.eye(free.size))
     spread += slope @ own_covariance @ slope.T
-    errors, predicted = (np.full(len(covariance), np.nan) for _ in range(2))
+    errors, predicted = (np.full(noise.n, np.nan) for _ in range(2))
     errors[held], predicted[held] = left, np.sqrt(np.diag(spread))
     # Log density of each trial's values together, shape ``(n,)``; NaN where it has none.
     trial = observations.trial[held]
@@ -533,7 +535,7 @@ def _depends_on_prior(
     steps = p.prior_sd * np.where(p.is_log, whole.theta, 1.0)
     scaled = whole.jacobian / observations.sd[:, None] * steps
     held, kept = (scaled[x] for x in rows)
-    _, sizes, directions = np.linalg.svd(kept)
+    _, sizes, directions = np.linalg.svd(np.linalg.qr(kept, mode="r"))
     least = LEAST_SINGULAR_VALUE * max(sizes[0], np.finfo(float).tiny)
     unseen = held @ directions[np.count_nonzero(sizes > least) :].T
     return bool(np.any(np.linalg.norm(unseen, axis=1) > 1.0))
@@ -649,7 +651,7 @@ def _signature(before: FoldScore, after: FoldScore, observations: Observations) 
     """Squared distance of the two predictions of a fold, in units of the noise."""
     held = np.flatnonzero(before.fold.held[observations.trial])
     apart = before.errors[held] - after.errors[held]
-    covariance = observations.noise.covariance[np.ix_(held, held)]
+    covariance = observations.noise.between(held, held)
     return float(apart @ np.linalg.solve(covariance, apart))
 
 
@@ -763,6 +765,9 @@ def measure_gain(
 ) -> Gain:
     """What the model `after` gains over `before`, fitted to the same data.
 
+    Trials are held out, and a process is fitted, among 1,500 values at most, of trials drawn at
+    random: both take the cube of their number.
+
     Parameters
     ----------
     before, after
@@ -772,17 +777,26 @@ def measure_gain(
     noise_degrees
         Degrees of freedom of the noise where it is an estimate.
     """
-    laxity = before.laxity
-    observations = observations_of(laxity, sd, before.noise)
-    folds = held_out_folds(laxity.protocol)
-    assessed = [_assess(x, observations, folds, noise_degrees) for x in (before, after)]
-    discrepancy = fit_discrepancy(before.compared, observations, before.theta, laxity.protocol)
+    observations = observations_of(before.laxity, sd, before.noise)
+    is_used = _sampled_trials(before.laxity)
+    parts = before, after
+    if not is_used.all():
+        parts = _part(before, is_used), _part(after, is_used)
+        sd = sd if parts[0].laxity.n == len(sd) else sd[is_used]
+    base, protocol = parts[0], parts[0].laxity.protocol
+    sampled, folds = observations_of(base.laxity, sd, base.noise), held_out_folds(protocol)
+    assessed = [
+        _assess(x, observations, held_out(y.compared, sampled, y.theta, folds), noise_degrees)
+        for x, y in zip((before, after), parts, strict=True)
+    ]
+    discrepancy = fit_discrepancy(base.compared, sampled, base.theta, protocol)
     # The same fit under the process as noise.
-    absorbed = _assess(before, discrepancy.observations, folds, noise_degrees)
+    noisier = discrepancy.observations
+    absorbed = _assess(
+        base, noisier, held_out(base.compared, noisier, base.theta, folds), noise_degrees
+    )
     absorbed = replace(
-        absorbed,
-        errors=discrepancy.errors,
-        in_sample=observations.rmse(discrepancy.errors),
+        absorbed, errors=discrepancy.errors, in_sample=sampled.rmse(discrepancy.errors)
     )
     explained = {}
     for k in np.unique(observations.coordinate):
@@ -812,8 +826,37 @@ def measure_gain(
     )
 
 
+def _sampled_trials(laxity: Laxity) -> BoolArray:
+    """The trials of which some are held out: all, or as many at random as have so many values."""
+    order = np.random.default_rng(0).permutation(laxity.n)
+    n_values = np.cumsum(laxity.is_measured.sum(axis=1)[order])
+    is_used = np.zeros(laxity.n, bool)
+    is_used[order[(n_values <= MOST_VALUES) | (n_values[-1] <= MOST_VALUES)]] = True
+    return is_used
+
+
+def _part(fitted: FittedModel, is_used: BoolArray) -> FittedModel:
+    """A fit to all trials as it is for some of them."""
+    laxity = fitted.laxity
+    if laxity.zero == ABSOLUTE:
+        laxity = laxity.select(is_used)
+    else:
+        # Coordinates may count from any of the others.
+        laxity = replace(laxity, coordinates=np.where(is_used[:, None], laxity.coordinates, np.nan))
+    rows = np.broadcast_to(is_used[:, None], fitted.laxity.is_measured.shape)
+    noise = fitted.noise.of(rows[fitted.laxity.is_measured])
+    model = fitted.model.with_tests(laxity)
+    at = evaluate(whitened_problem(model, laxity, noise), fitted.theta)
+    return FittedModel(
+        model=model,
+        laxity=laxity,
+        noise=noise,
+        constrained=replace(fitted.constrained, evaluation=at),
+    )
+
+
 def _assess(
-    fitted: FittedModel, observations: Observations, folds: Sequence[Fold], noise_degrees: float
+    fitted: FittedModel, observations: Observations, held: CrossValidation, noise_degrees: float
 ) -> Assessment:
     at = fitted.evaluation
     if observations.noise is not fitted.noise:
@@ -827,8 +870,8 @@ def _assess(
         ),
         errors=errors,
         in_sample=observations.rmse(errors),
-        held_out=held_out(fitted.compared, observations, fitted.theta, folds),
-        posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
+        held_out=held,
+        posterior=laplace(at, fitted.model.parameters, observations.noise.scale),
     )
 
 

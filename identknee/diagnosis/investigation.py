@@ -34,7 +34,7 @@ from identknee.diagnosis.verdict import (
     causes_of,
     conclude,
 )
-from identknee.laxity.protocol import nominal_flexion, nominal_loads
+from identknee.laxity.protocol import nominal_flexion, nominal_loads, shown_flexion
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
@@ -320,7 +320,7 @@ def better_start(attribution: Attribution) -> Array | None:
 def trial_layout(laxity: Laxity) -> TrialLayout:
     """The layout of the trials on the map of misfit."""
     return TrialLayout(
-        flexion_deg=nominal_flexion(laxity.protocol),
+        flexion_deg=shown_flexion(nominal_flexion(laxity.protocol)),
         loads=nominal_loads(laxity.protocol),
         directions=SHORT_DIRECTIONS,
         coordinates=COORDINATES,

@@ -414,7 +414,7 @@ def localise(
         )
     )
     region = _region(found, layout)
-    rows = np.zeros(len(noise.factor), dtype=bool)
+    rows = np.zeros(noise.n, dtype=bool)
     for index in region:
         rows |= cells[index][3]
     share = _fraction_of_excess(residuals, projector, noise, rows) if region else 0.0

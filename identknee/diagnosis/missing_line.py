@@ -23,6 +23,8 @@ from identknee.subject.knee import Knee
 
 LENGTHS = (12.0, 90.0)  # mm
 MOST_LINES = 3000
+# Of all lines on all measured values at every slack strain: 333 lines for 3,000 trials.
+MOST_EFFECTS = 20_000_000
 SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
 NAME = "missing_line"
 STIFFNESS_SD = 1.5  # kN, of the half-normal prior
@@ -66,10 +68,10 @@ class CandidateLines:
         return is_close
 
 
-def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
+def candidate_lines(knee: Knee, *, seed: int = 0, most: int = MOST_LINES) -> CandidateLines:
     """Lines between places of both bones that lie on one side, 12 to 90 mm apart.
 
-    Central places go with either side. Where there are more than 3,000, some are taken at random.
+    Central places go with either side. Where there are more than `most`, some are taken at random.
 
     Raises
     ------
@@ -82,7 +84,7 @@ def candidate_lines(knee: Knee, *, seed: int = 0) -> CandidateLines:
     fits = (on_femur == on_tibia) | (on_femur == "central") | (on_tibia == "central")
     fits &= (length > LENGTHS[0]) & (length < LENGTHS[1])
     pairs = np.argwhere(fits)
-    chosen = np.random.default_rng(seed).permutation(len(pairs))[:MOST_LINES]
+    chosen = np.random.default_rng(seed).permutation(len(pairs))[:most]
     at_femur, at_tibia = pairs[np.sort(chosen)].T
     return CandidateLines(femur=femur.positions[at_femur], tibia=tibia.positions[at_tibia])
 
@@ -338,7 +340,9 @@ def find_line(base: Refit, *, seed: int = 0) -> LineFinding | None:
         If the fit has no prediction.
     """
     fitted = base.fitted
-    lines = candidate_lines(fitted.model.knee, seed=seed)
+    # Fewer lines for very many values, so that their effects need no more memory.
+    most = min(MOST_LINES, MOST_EFFECTS // (len(SLACK_STRAINS) * fitted.n_data))
+    lines = candidate_lines(fitted.model.knee, seed=seed, most=most)
     first = scan_lines(fitted, fitted.theta, lines)
     if first is None:
         raise ValueError("the fit has no prediction; lines are sought from the best fit")

@@ -1,14 +1,15 @@
 """The covariance of measured laxity, and values in units in which its errors are independent."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.sparse import csr_array
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import marginal_covariance
 
 # Degree of the polynomial that is removed along a load curve; the residuals are the noise.
@@ -25,6 +26,8 @@ WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
 SMALLEST, LARGEST = 1e-9, 1e6
 # A covariance beyond these is singular or nearly so, whatever the estimate says.
 LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
+# Values whitened at once; a table of up to a hundred trials is one block.
+BLOCK = 500
 
 
 @declared
@@ -47,14 +50,69 @@ class Curve:
             raise ValueError("the loads of a curve must increase; sort its trials, one for a load")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Block:
+    """Some values in a row, and what those before them leave unknown of them."""
+
+    rows: slice
+    factor: Array  # lower Cholesky factor of their covariance, given the values before them
+    learning: Array  # how their whitened errors move the mean of the nuisances
+
+
 @declared
 class NoiseModel:
-    """Errors of the measured values: Gaussian with a known covariance."""
+    """Errors of the measured values: Gaussian with a known covariance.
 
-    covariance: Array = array(
-        "Covariance of the measured values, in the units of the table", "value", "value"
+    Its own error, which shares `correlation` with those of its trial alone, and nuisances that may
+    be shared by all. The Cholesky factor of their sum is applied block by block: values are taken
+    given those before them, of which only what they say of the nuisances counts. So memory and time
+    grow with the number of values and not with its square.
+    """
+
+    trial: IntArray = array("The trial of each value, in its order", "value", dtype=int)
+    sd: Array = array("Standard deviation of its own error, in its unit", "value")
+    correlation: float = entry("Shared by the own errors of a trial", unit="1")
+    nuisances: Array = array(
+        "Change of each value by each independent nuisance of standard deviation 1",
+        *("value", "nuisance"),
     )
-    factor: Array = array("Its lower Cholesky factor", "value", "value")
+    further: Array | None = entry(
+        "Covariance of further errors, of all values, shape ``(m, m)``; None for none", default=None
+    )
+    _blocks: tuple[_Block, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_blocks", tuple(self._in_blocks()))
+
+    @property
+    def n(self) -> int:
+        """How many values there are."""
+        return len(self.sd)
+
+    @property
+    def alone(self) -> "NoiseModel":
+        """The values' own errors, without nuisances."""
+        return replace(self, nuisances=self.nuisances[:, :0], further=None)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the values, in the units of the table, shape ``(m, m)``."""
+        return self.between(np.arange(self.n), np.arange(self.n))
+
+    @property
+    def factor(self) -> Array:
+        """Its lower Cholesky factor, shape ``(m, m)``."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    @property
+    def scale(self) -> Array:
+        """Diagonal of that factor, shape ``(m,)``."""
+        return np.concatenate([np.diag(x.factor) for x in self._blocks])
+
+    def between(self, rows: IntArray, others: IntArray) -> Array:
+        """Covariance of some of the values with others, shape ``(len(rows), len(others))``."""
+        whole = self._own(rows, others) + self.nuisances[rows] @ self.nuisances[others].T
+        return whole if self.further is None else whole + self.further[np.ix_(rows, others)]
 
     def whiten(self, values: Array) -> Array:
         """`values` in units in which errors are independent with variance 1.
@@ -64,14 +122,29 @@ class NoiseModel:
         values
             One row for each measured value, shape ``(m,)`` or ``(m, k)``.
         """
-        whitened: Array = solve_triangular(self.factor, values, lower=True, check_finite=False)
+        whitened = np.empty(values.shape)
+        mean = np.zeros((self.nuisances.shape[1], *values.shape[1:]))
+        for block in self._blocks:
+            own = values[block.rows]
+            if block.rows.start and len(mean):
+                own = own - self.nuisances[block.rows] @ mean
+            whitened[block.rows] = solve_triangular(
+                block.factor, own, lower=True, check_finite=False
+            )
+            mean += block.learning @ whitened[block.rows]
         return whitened
 
     def of(self, rows: BoolArray) -> "NoiseModel":
         """The errors of some of the values alone, `rows` of shape ``(m,)``."""
-        return _noise_model(self.covariance[np.ix_(rows, rows)])
+        return NoiseModel(
+            trial=self.trial[rows],
+            sd=self.sd[rows],
+            correlation=self.correlation,
+            nuisances=self.nuisances[rows],
+            further=None if self.further is None else self.further[np.ix_(rows, rows)],
+        )
 
-    def with_added_covariance(self, slopes: Array, prior: Array | None = None) -> "NoiseModel":
+    def with_added_covariance(self, slopes: Array, prior: Array) -> "NoiseModel":
         """These errors and those of nuisances on top, see `identknee.runs.marginalise`.
 
         Parameters
@@ -79,9 +152,45 @@ class NoiseModel:
         slopes
             Change of each value with each nuisance, shape ``(m, e)``.
         prior
-            Covariance of the nuisances, shape ``(e, e)``; the identity if None.
+            Covariance of the nuisances, shape ``(e, e)``.
         """
-        return _noise_model(marginal_covariance(slopes, prior, noise=self.covariance))
+        noise = np.zeros((self.n, self.n)) if self.further is None else self.further
+        return replace(self, further=marginal_covariance(slopes, prior, noise=noise))
+
+    def _own(self, rows: IntArray, others: IntArray) -> Array:
+        """Covariance of own errors, shape ``(len(rows), len(others))``."""
+        shared = np.where(self.trial[rows][:, None] == self.trial[others], self.correlation, 0.0)
+        shared[rows[:, None] == others] = 1.0
+        return np.asarray(self.sd[rows][:, None] * shared * self.sd[others])
+
+    def _in_blocks(self) -> Iterator[_Block]:
+        """The blocks, each of whole trials; one where there are few values, or further errors."""
+        most = self.n if self.further is not None else BLOCK
+        starts = [0]
+        for first in np.flatnonzero(np.diff(self.trial, prepend=-1)).tolist():
+            end = np.searchsorted(self.trial, self.trial[first], side="right")
+            if end - starts[-1] > most and first > starts[-1]:
+                starts.append(first)
+        information = root = np.eye(self.nuisances.shape[1])
+        for start, end in pairwise([*starts, self.n]):
+            rows, places = slice(start, end), np.arange(start, end)
+            own, slopes = self._own(places, places), self.nuisances[rows]
+            # Of the nuisances, in units in which what the values before say leaves variance 1.
+            left = solve_triangular(root, slopes.T, lower=True).T if start else slopes
+            covariance = own + left @ left.T
+            if self.further is not None:
+                covariance = covariance + self.further
+            factor = np.asarray(np.linalg.cholesky(covariance))
+            known = solve_triangular(factor, left, lower=True)
+            yield _Block(
+                rows=rows,
+                factor=factor,
+                learning=solve_triangular(root, known.T, lower=True, trans="T"),
+            )
+            if end < self.n:
+                seen = solve_triangular(np.linalg.cholesky(own), slopes, lower=True)
+                information = information + seen.T @ seen
+                root = np.linalg.cholesky(information)
 
 
 def build_noise_model(
@@ -128,24 +237,22 @@ def build_noise_model(
             f"the noise is {measured_sd.min():g} to {measured_sd.max():g}, which no measurement in "
             "mm or deg has; state that of the measurement"
         )
-    trial = np.nonzero(is_measured)[0]
-    shared = np.where(trial[:, None] == trial, correlation, 0.0)
-    np.fill_diagonal(shared, 1.0)
-    covariance = measured_sd[:, None] * shared * measured_sd
+    columns = np.zeros((measured_sd.size, 0))
     if nuisance is not None and nuisance_sd is not None:
-        covariance = marginal_covariance(nuisance * nuisance_sd, noise=covariance)
+        columns = nuisance * nuisance_sd
     try:
-        return _noise_model(covariance)
+        return NoiseModel(
+            trial=np.nonzero(is_measured)[0],
+            sd=measured_sd,
+            correlation=correlation,
+            nuisances=columns,
+        )
     except np.linalg.LinAlgError:
         raise ValueError(
             f"the noise, {measured_sd.min():g} to {measured_sd.max():g}, cannot be "
             "distinguished from zero beside what the model does not know; state the noise of the "
             "measurement"
         ) from None
-
-
-def _noise_model(covariance: Array) -> NoiseModel:
-    return NoiseModel(covariance=covariance, factor=np.asarray(np.linalg.cholesky(covariance)))
 
 
 def estimate_correlation(
@@ -171,18 +278,20 @@ def estimate_correlation(
     for first, second in combinations(range(residuals.shape[1]), 2):
         used = is_measured[:, first] & is_measured[:, second]
         # The sum over curves of the projections that remove a polynomial, shape ``(n, n)``.
-        left = np.zeros((len(used), len(used)))
+        parts = [(np.zeros(0), np.zeros((2, 0), int))]
         for curve in curves:
             on = used[curve.trials]
             trials, load = curve.trials[on], curve.load[on]
             degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
             if degree >= 1:
                 smooth, _ = np.linalg.qr(_powers(load, degree))
-                left[np.ix_(trials, trials)] += np.eye(len(trials)) - smooth @ smooth.T
+                rough = np.eye(len(trials)) - smooth @ smooth.T
+                parts.append((rough.ravel(), np.stack(np.meshgrid(trials, trials)).reshape(2, -1)))
+        left = _sparse(parts, len(used), len(used))
         if _degrees_of_freedom(left) < LEAST_DEGREES:
             continue
         pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
-        products = pair.T @ left @ pair
+        products = pair.T @ (left @ pair)
         size = np.sqrt(products[0, 0] * products[1, 1])
         if size > 0:
             found.append(products[0, 1] / size)
@@ -235,17 +344,16 @@ def estimate_scale(
     for column in range(values.shape[1]):
         used = is_measured[:, column]
         # Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``.
-        rows = [np.zeros((0, len(used)))]
+        parts, n_rows = [(np.zeros(0), np.zeros((2, 0), int))], 0
         for curve in curves:
             on = used[curve.trials]
             trials, load = curve.trials[on], curve.load[on]
             for start in range(len(trials) - WINDOW + 1):
                 window = slice(start, start + WINDOW)
                 whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-                row = np.zeros((1, len(used)))
-                row[0, trials[window]] = whole[:, -1]
-                rows.append(row)
-        contrasts = np.concatenate(rows)
+                parts.append((whole[:, -1], np.stack([np.full(WINDOW, n_rows), trials[window]])))
+                n_rows += 1
+        contrasts = _sparse(parts, n_rows, len(used))
         degrees += _degrees_of_freedom(contrasts.T @ contrasts)
         found.append(contrasts @ np.where(used, values[:, column], 0.0))
     degrees *= QUANTILE_EFFICIENCY
@@ -255,10 +363,16 @@ def estimate_scale(
     return EstimatedScale(sd=sd, degrees_of_freedom=degrees)
 
 
-def _degrees_of_freedom(left: Array) -> float:
+def _sparse(parts: Sequence[tuple[Array, IntArray]], rows: int, columns: int) -> csr_array:
+    """The sum of entries given with their places (2, k), shape ``(rows, columns)``."""
+    values, places = zip(*parts, strict=True)
+    return csr_array((np.concatenate(values), np.concatenate(places, axis=1)), (rows, columns))
+
+
+def _degrees_of_freedom(left: csr_array) -> float:
     """Degrees of freedom of the quadratic form `left`, by its first two moments."""
-    squares = float(np.sum(left**2))
-    return float(np.trace(left)) ** 2 / squares if squares > 0 else 0.0
+    squares = float(np.sum(left.data**2))
+    return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
 
 
 def _powers(load: Array, degree: int) -> Array:

@@ -229,6 +229,8 @@ def effect_names(signatures: Sequence[ProjectedSignature]) -> tuple[str, ...]:
 
 Scale = Literal["known", "unknown"]
 N_DRAWS = 4000
+# Numbers drawn at once, so that the draws for many values need little memory.
+AT_ONCE = 4_000_000
 # The probability of a false alarm at which the quantile is taken.
 LEVEL = 0.05
 # A z-score below it is the root of a rounding error, and would order causes by the processor.
@@ -403,9 +405,12 @@ def score_test(
     if not signatures:
         raise ValueError("the score test needs at least one signature")
     projected = tuple(project_signature(projector, x) for x in signatures)
-    draws = np.random.default_rng(seed).standard_normal((n_draws, projector.n_rows))
-    z_scores = _z_scores(_in_units(draws, projector, scale), projected)
-    scores = _by_name(z_scores, projected)
+    generator, at_once = np.random.default_rng(seed), max(1, AT_ONCE // projector.n_rows)
+    z_scores = []
+    for first in range(0, n_draws, at_once):
+        draws = generator.standard_normal((min(at_once, n_draws - first), projector.n_rows))
+        z_scores.append(_z_scores(_in_units(draws, projector, scale), projected))
+    scores = _by_name(np.concatenate(z_scores), projected)
     # By how much more often than one z-score the largest of each effect exceeds its quantile.
     names = [x.signature.name for x in projected]
     variants = np.array([names.count(x) for x in effect_names(projected)], dtype=np.float64)

@@ -614,7 +614,7 @@ class Cause:
 def posterior_of(refit: Refit) -> Laplace:
     """Intervals of all parameters of a fit."""
     fitted = refit.fitted
-    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.factor)
+    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.scale)
 
 
 def causes_of(refit: Refit) -> tuple[Cause, ...]:

@@ -300,7 +300,7 @@ def log_evidence(at: Evaluation, parameters: Parameters, is_active: BoolArray) -
     return _gaussian(at, parameters, is_active).log_evidence
 
 
-def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Laplace:
+def laplace(at: Evaluation, parameters: Parameters, noise_scale: Array) -> Laplace:
     """The Laplace approximation around a fit, priors truncated at the bounds.
 
     The evidence is that of `log_evidence` with the constant of the data, slopes of all parameters
@@ -312,12 +312,12 @@ def laplace(at: Evaluation, parameters: Parameters, noise_factor: Array) -> Lapl
         Whitened residuals of the m data, those of the priors after them, and their derivatives.
     parameters
         With bounds and priors.
-    noise_factor
-        Cholesky factor of the covariance of the data, shape ``(m, m)``.
+    noise_scale
+        Diagonal of the Cholesky factor of the covariance of the data, shape ``(m,)``.
     """
     is_log, prior_sd = np.array(parameters.is_log), parameters.prior_sd
     near = _gaussian(at, parameters, None)
-    constant = -0.5 * len(noise_factor) * np.log(2.0 * np.pi) - np.log(np.diag(noise_factor)).sum()
+    constant = -0.5 * len(noise_scale) * np.log(2.0 * np.pi) - np.log(noise_scale).sum()
     sd = np.sqrt(np.diag(near.covariance)) * prior_sd
     found = box_intervals(near.middle, near.covariance, near.lower, near.upper)
     point, lower, upper = (

@@ -527,6 +527,20 @@ def nominal_flexion(protocol: Protocol) -> Array:
     return np.asarray(np.round(sums / np.bincount(cluster))[cluster])
 
 
+# More angles than this are shown together with those near them, in steps of so many degrees.
+MOST_ANGLES, ANGLE_STEP_DEG = 50, 15.0
+
+
+def shown_flexion(flexion_deg: Array) -> Array:
+    """The angle under which each trial is shown [deg], any shape.
+
+    Its own, or the nearest of a few where trials have too many angles for a map or a legend.
+    """
+    if np.unique(flexion_deg).size <= MOST_ANGLES:
+        return flexion_deg
+    return np.asarray(ANGLE_STEP_DEG * np.round(flexion_deg / ANGLE_STEP_DEG))
+
+
 def opposite_pairs(protocol: Protocol) -> IntArray:
     """Pairs of trials under opposite loads at about the same flexion, shape ``(k, 2)``.
 
@@ -539,20 +553,20 @@ def opposite_pairs(protocol: Protocol) -> IntArray:
     >>> opposite_pairs(load_protocol("drawer"))[0].tolist()
     [2, 0]
     """
-    found = dominant_loads(protocol)
-    apart = np.abs(protocol.flexion_deg[:, None] - protocol.flexion_deg)
-    size = np.where(found.size == 0.0, np.inf, np.abs(found.size))
-    unlike = np.abs(found.size[:, None] + found.size) / size
-    fits = (
-        (found.axis[:, None] == found.axis)
-        & (found.size[:, None] > 0.0)
-        & (found.size < 0.0)
-        & (apart <= SAME_FLEXION_DEG)
-        & (unlike <= ALIKE)
-    )
-    first, second = np.nonzero(fits)
-    distance = apart[first, second] / SAME_FLEXION_DEG + unlike[first, second] / ALIKE
-    order = np.lexsort((first, distance))
+    found, flexion = dominant_loads(protocol), protocol.flexion_deg
+    none = np.zeros(0, dtype=np.int64)
+    alike = [(none, none, np.zeros(0))]
+    for axis in np.unique(found.axis):
+        above, below = (
+            np.flatnonzero((found.axis == axis) & (sign * found.size > 0.0)) for sign in (1, -1)
+        )
+        apart = np.abs(flexion[above, None] - flexion[below])
+        unlike = np.abs(found.size[above, None] + found.size[below]) / np.abs(found.size[below])
+        i, j = np.nonzero((apart <= SAME_FLEXION_DEG) & (unlike <= ALIKE))
+        distance = apart[i, j] / SAME_FLEXION_DEG + unlike[i, j] / ALIKE
+        alike.append((above[i], below[j], distance))
+    first, second, distance = (np.concatenate(x) for x in zip(*alike, strict=True))
+    order = np.lexsort((second, first, distance))
     taken: set[int] = set()
     pairs = []
     for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True):

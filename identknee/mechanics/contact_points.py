@@ -9,6 +9,7 @@ from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.pose import place, rotation_matrix
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.progress import progress
 
 DEFAULT_NUMBER = 1500
 MOST_PIECES = 20  # a sheet is cut into about this many pieces a patch, or more
@@ -85,7 +86,7 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     passed = np.cumsum(weight[order]) - 0.5 * weight[order]
     seeds = order[np.searchsorted(passed, (np.arange(number) + 0.5) * weight.sum() / number)]
     centroid = pieces[seeds]
-    for _ in range(ROUNDS):
+    for _ in progress(range(ROUNDS), description="choosing contact points"):
         nearest = cKDTree(centroid).query(pieces)[1]
         total, *sums = (
             np.asarray(np.bincount(nearest, values, len(centroid)), np.float64)

@@ -15,6 +15,7 @@ from identknee.mechanics.memory import (
 )
 from identknee.runs.arrays import Array, BitArray, ReachArray
 from identknee.runs.declare import declared, entry
+from identknee.runs.progress import progress
 
 PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
 # mm; at this depth the pressure does not depend on the exponent of the law.
@@ -72,6 +73,7 @@ class ContactLaw:
 
 
 SPACING = 0.75  # mm
+AT_ONCE = 65_536  # nodes whose distance is measured between two steps of the progress bar
 PADDING = 5  # cells around the surface: room for the candidate list and the spline's support
 STRAIGHT = 8  # nodes; what the filter does at an end decays by 0.27 a node
 
@@ -144,7 +146,9 @@ def build_field(
     shape = np.ceil((np.asarray(upper) - origin) / spacing).astype(int) + PADDING + 1
     axes = [origin[i] + spacing * np.arange(shape[i]) for i in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = distance(nodes).reshape(shape)
+    parts = [nodes[first : first + AT_ONCE] for first in range(0, len(nodes), AT_ONCE)]
+    found = [distance(x) for x in progress(parts, description="measuring the femoral surface")]
+    values = np.concatenate(found).reshape(shape)
     # The filter mirrors what it is given, which bends a distance at the grid's faces; continued
     # straight for a few nodes, the spline is right to fourth order up to there.
     wide = np.pad(values, STRAIGHT, mode="reflect", reflect_type="odd")

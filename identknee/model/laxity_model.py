@@ -56,6 +56,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
+from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, StatedPrior
 
@@ -136,11 +137,10 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
     with missing, path.open("rb") as file, np.load(file) as kept:
         values = {x: kept[x] for x in arrays}
         return DistanceField(**{**values, "spacing": float(values["spacing"])})
-    field = build_field(
-        distance or mesh_distance(femoral, knee.femur.faces),
-        femoral.min(axis=0),
-        femoral.max(axis=0),
-    )
+    if distance is None:
+        with stage("sorting the femoral surface"):
+            distance = mesh_distance(femoral, knee.femur.faces)
+    field = build_field(distance, femoral.min(axis=0), femoral.max(axis=0))
     stored = io.BytesIO()
     np.savez(stored, **{x: getattr(field, x) for x in arrays})
     # A cache that cannot be written is no failure.

@@ -277,8 +277,11 @@ def measured_poses(laxity: Laxity) -> Array | None:
     if is_nominal or laxity.zero != "absolute" or not measured.any(axis=0).all():
         return None
     # Its own cell comes first, also before that of another reading at the same angle.
-    apart = np.abs(angles[:, None] - angles) - np.eye(laxity.n)
-    nearest = np.argmin(np.where(measured.T[:, None], apart, np.inf), axis=2).T
+    nearest = np.repeat(np.arange(laxity.n)[:, None], measured.shape[1], axis=1)
+    for column, known in zip(nearest.T, measured.T, strict=True):
+        others = np.flatnonzero(known)
+        apart = np.abs(angles[~known, None] - angles[others])
+        column[~known] = others[np.argmin(apart, axis=1)]
     return pose_from_coordinates(np.take_along_axis(laxity.coordinates, nearest, axis=0))
 
 

@@ -16,7 +16,7 @@ from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import Protocol, shown_flexion
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import load_label
 from identknee.model.effects.effect import unit_of
@@ -184,7 +184,7 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     Both without what the fitted parameters explain. A cause that is right puts all points on the
     line; clusters of one angle away from it speak against it.
     """
-    expected, left, flexion = added.expected, added.left, added.flexion_deg
+    expected, left, flexion = added.expected, added.left, shown_flexion(added.flexion_deg)
     figure = Figure(figsize=(5.0, 4.4), layout="constrained")
     axes = figure.add_subplot()
     for k, angle in enumerate(np.unique(flexion)):

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.pose import angles_of
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, by_severity, finding
 from identknee.subject.knee import (
@@ -327,6 +327,10 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
 
 # Triangles of the closest tenth tell how two surfaces face each other where they are in contact.
 CLOSEST_SHARE = 0.1
+# Of a surface with more triangles or vertices than this, as segmentation gives it, so many are
+# looked at, drawn at random: where two bones face each other there still are a thousand, and only
+# the sign of their mean is used.
+MOST_WHOLE, LOOKED_AT = 50_000, 10_000
 
 
 def count_inconsistent_edges(surface: Surface) -> int:
@@ -365,12 +369,21 @@ def facing_normals(surface: Surface, other: Surface) -> Array:
     """Mean normal of `surface` where it is closest to `other`, shape ``(3,)``."""
     from scipy.spatial import cKDTree
 
-    centres = surface.vertices[surface.faces].mean(axis=1)
-    distance = cKDTree(other.vertices).query(centres)[0]
+    # Far from a fine surface many of its vertices are about as near, which makes a search slow.
+    looked, near = _looked_at(len(surface.faces)), _looked_at(len(other.vertices))
+    centres = surface.vertices[surface.faces[looked]].mean(axis=1)
+    distance = cKDTree(other.vertices[near]).query(centres)[0]
     is_close = distance <= np.quantile(distance, CLOSEST_SHARE)
-    weights = surface.areas[is_close]
-    mean: Array = weights @ surface.normals[is_close] / max(weights.sum(), np.finfo(float).tiny)
+    weights, normals = surface.areas[looked][is_close], surface.normals[looked][is_close]
+    mean: Array = weights @ normals / max(weights.sum(), np.finfo(float).tiny)
     return mean
+
+
+def _looked_at(n: int) -> IntArray:
+    """Which of so many triangles or vertices tell how a surface faces another."""
+    if n <= MOST_WHOLE:
+        return np.arange(n)
+    return np.random.default_rng(0).choice(n, LOOKED_AT, replace=False)
 
 
 def gap_between(one: Surface, other: Surface) -> float:

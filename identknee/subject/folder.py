@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
 from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
+from identknee.runs.progress import progress
 from identknee.runs.schema import (
     Fault,
     Number,
@@ -501,7 +502,10 @@ def _read(file: Path) -> Knee:
             for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
         )
         frames = femur, tibia
-    surfaces = tuple(read_surface(file.parent / getattr(tables.surfaces, x)) for x in SURFACES)
+    surfaces = tuple(
+        read_surface(file.parent / getattr(tables.surfaces, x))
+        for x in progress(SURFACES, description="reading the surfaces")
+    )
     ligaments = [
         _made(
             file,

@@ -10,6 +10,7 @@ from identknee.checks.fit_checks import implausible_findings
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,
+    columns_by_trial,
     convention_findings,
     end_point_findings,
     leave_one_out,
@@ -449,11 +450,24 @@ MOST_REPEATED = 3
 def rows_of(found: Investigation) -> list[SuspiciousRow]:
     """The trials that the other ones contradict, beside the best explanation of the misfit."""
     fitted = found.explanation.fitted
-    rows, jacobian = fitted.residual_rows(), fitted.evaluation.jacobian
-    whitened = fitted.noise.whiten(np.eye(fitted.n_data))
-    columns = np.vstack([whitened, np.zeros((len(rows) - fitted.n_data, fitted.n_data))])
-    measured = fitted.laxity.is_measured
-    return suspicious_rows(leave_one_out(rows, jacobian, columns), *np.nonzero(measured))
+    noise, compared, measured = fitted.noise, fitted.compared, fitted.laxity.is_measured
+    # Nuisances are parameters with a prior here: marginalised they would tie all trials together.
+    own, at, n, k = noise.alone, fitted.evaluation, fitted.n_data, noise.nuisances.shape[1]
+    trials, coordinates = np.nonzero(measured)
+    units = own.whiten(np.eye(measured.shape[1])[coordinates])
+    rows = np.concatenate(
+        [own.whiten(-compared.residuals(at.theta)), -at.residuals[n:], np.zeros(k)]
+    )
+    jacobian = np.block(
+        [
+            [own.whiten(np.hstack([compared.jacobian(at.theta), noise.nuisances]))],
+            [at.jacobian[n:], np.zeros((len(at.residuals) - n, k))],
+            [np.zeros((k, at.theta.size)), np.eye(k)],
+        ]
+    )
+    columns = columns_by_trial(units, measured)
+    columns.resize(len(rows), n)
+    return suspicious_rows(leave_one_out(rows, jacobian, columns), trials, coordinates)
 
 
 @declared

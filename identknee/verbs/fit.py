@@ -448,7 +448,11 @@ def fit(
             executor=run.executor,
             budget=BRIEF if problem.parameters.nuisance_names else budget,
         )
-        found = fits[0]
+        # The lowest of all may hold every trial at its measured pose.
+        if np.isfinite(problem.residuals(fits[0].theta)).all():
+            found = fits[0]
+        else:
+            fits = (found,)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
         Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity

@@ -323,7 +323,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     start = setup.free.expand(setup.start)
     points = setup.free.restrict(starts_elsewhere(setup.model, start, N_STARTS, seed=seed))
     try:
-        return find_best_fits(
+        fits = find_best_fits(
             setup.everywhere,
             start=setup.start,
             seed=seed,
@@ -333,6 +333,9 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
         )
     except ValueError as error:
         raise no_prediction(setup) from error
+    if not np.isfinite(setup.problem.residuals(fits[0].theta)).all():
+        raise no_prediction(setup)
+    return fits
 
 
 def check_start(setup: Identification) -> None:

@@ -17,6 +17,8 @@ MODULES = {
     "complex_fit": "bench_complex_fit",
     "least_squares_fit": "bench_least_squares_fit",
     "memory": "bench_memory",
+    "many_trials": "bench_many_trials",
+    "fine_surfaces": "bench_fine_surfaces",
     "process_pool": "bench_process_pool",
     "sweep": "bench_sweep",
     "sampling": "bench_sampling",

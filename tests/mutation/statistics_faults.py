@@ -452,6 +452,22 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/noise_model.py",
+        "NoiseModel._in_blocks",
+        "information = information + seen.T @ seen",
+        "information = seen.T @ seen",
+        "what the values say of nuisances forgets their prior",
+        "tests/unit/diagnosis/test_noise_model.py::test_whitened_in_blocks_is_whitened_at_once",
+    ),
+    fault(
+        "identknee/checks/table_checks.py",
+        "LeaveOneOut.without",
+        "self.left - off @ rows",
+        "self.left",
+        "a trial left out still bends what is left of the others",
+        "tests/unit/checks/test_contradicted_trials.py::test_the_sparse_form_is_the_dense_one",
+    ),
+    fault(
+        "identknee/diagnosis/noise_model.py",
         "build_noise_model",
         "nuisance * nuisance_sd",
         "nuisance * nuisance_sd ** 2",
@@ -525,7 +541,7 @@ DIAGNOSIS = (
     fault(
         "identknee/diagnosis/gain.py",
         "_score",
-        "left = -(at.residuals[held] - weights @ at.residuals[kept])",
+        "left = -(at.residuals[held] - weights @ among.whiten(at.residuals[kept]))",
         "left = -at.residuals[held]",
         "errors shared between trials tell nothing of held ones",
         "tests/unit/diagnosis/test_held_out.py::test_the_prediction_of_a_linear_model_is_exact",

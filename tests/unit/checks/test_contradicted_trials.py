@@ -1,10 +1,14 @@
 """Trials that the others contradict: leave-one-out residuals, and what answers say of them."""
 
+import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from planted_conventions import NOISE, clean_table
+from scipy.sparse import csr_array
+from tolerances import CLOSED_FORM
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -17,6 +21,7 @@ from identknee.checks.table_checks import (
     suspicious_rows,
 )
 from identknee.diagnosis.investigation import investigate
+from identknee.runs.arrays import Array
 
 
 def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
@@ -38,6 +43,52 @@ def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
     scale = float(rest[1][0]) / 25
     variance = scale * (sd[7] ** 2 + design[7] @ covariance @ design[7])
     assert row.errors[0] == pytest.approx(np.sqrt(variance), rel=1e-9)
+
+
+def blocks(n: int, seed: int) -> tuple[Array, Array, Any]:
+    """Residuals of n trials of five values, their derivatives, and columns a block a trial."""
+    generator = np.random.default_rng(seed)
+    errors = np.eye(5) + 0.2 * generator.standard_normal((n, 5, 5))
+    trials = np.repeat(np.arange(n), 5)
+    rows = (np.arange(5 * n)[:, None] + np.zeros(5, int)).ravel()
+    columns = (5 * trials[:, None] + np.arange(5)).ravel()
+    return (
+        generator.standard_normal(5 * n),
+        generator.standard_normal((5 * n, 4)),
+        csr_array((errors.reshape(-1), (rows, columns))),
+    )
+
+
+def test_the_sparse_form_is_the_dense_one() -> None:
+    left, design, columns = blocks(12, 6)
+    found = leave_one_out(left, design, columns)
+    basis = np.linalg.qr(design)[0]
+    free = columns.toarray() - basis @ (basis.T @ columns.toarray())
+    products = found.own.toarray() - found.explained.T @ found.explained
+    np.testing.assert_allclose(products, free.T @ free, atol=CLOSED_FORM)
+    np.testing.assert_allclose(found.sizes, np.diag(free.T @ free), atol=CLOSED_FORM)
+    np.testing.assert_allclose(found.left, free.T @ left, atol=CLOSED_FORM)
+    # The square that is left where these columns are parameters, too.
+    own = np.arange(20, 25)
+    (fall,) = found.falls(own[None], np.ones((1, 5), bool))
+    rest = np.linalg.lstsq(np.hstack([design, columns.toarray()[:, own]]), left, rcond=None)[1]
+    assert found.square - fall == pytest.approx(rest[0], rel=CLOSED_FORM)
+    without = found.without(own)
+    assert without.square == pytest.approx(rest[0], rel=CLOSED_FORM)
+    np.testing.assert_allclose(without.sizes[own], 0.0, atol=CLOSED_FORM)
+    np.testing.assert_allclose(without.left[own], 0.0, atol=CLOSED_FORM)
+
+
+def test_four_times_the_trials_need_four_times_the_memory() -> None:
+    peaks = []
+    for n in (300, 1200):
+        given, trials = blocks(n, 7), np.repeat(np.arange(n), 5)
+        tracemalloc.start()
+        suspicious_rows(leave_one_out(*given), trials, np.tile(np.arange(5), n))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # With the square of the number of values it were sixteen times.
+    assert peaks[1] < 6.0 * peaks[0]
 
 
 def test_two_blunders_do_not_hide_one_another() -> None:

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_knee import small_knee
 
+from identknee.diagnosis import gain as gain_module
 from identknee.diagnosis.fitting import FittedModel, best_fit_from
 from identknee.diagnosis.gain import FAMILIES, FLEXION, Gain, ParameterChange, measure_gain
 from identknee.diagnosis.noise_model import build_noise_model
@@ -90,6 +91,20 @@ def test_the_cause_predicts_held_trials_better() -> None:
     assert gain.elpd.difference > 2 * gain.elpd.se
     assert sum(x.difference > 2.0 * x.se for x in gain.elpd.families) >= 2
     assert gain.log_evidence_difference > 10
+
+
+def test_of_very_many_trials_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = planted()
+    most = whole.before.errors.size // 2
+    monkeypatch.setattr(gain_module, "MOST_VALUES", most)
+    knee = small_knee(names=("a", "b", "c", "d"))
+    gain = measure_gain(*fits(knee, structure(knee), PLANTED), sds())
+    assert gain.before.errors.size == whole.before.errors.size
+    assert gain.log_evidence_difference == whole.log_evidence_difference
+    assert most - 5 < gain.discrepancy.errors.size <= most
+    assert gain.before.held_out.observations.sd.size == gain.discrepancy.errors.size
+    before, after = (gain.rmse_held_out(x).noise for x in (gain.before, gain.after))
+    assert after < 0.7 * before
 
 
 def test_the_process_absorbs_the_misfit_but_does_not_carry_to_new_flexion() -> None:

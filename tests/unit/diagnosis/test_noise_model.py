@@ -1,10 +1,13 @@
 """Whitening against its definition, and noise estimated from curves that a model misfits."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from linear_data import everything, protocol, unit_noise
 from tolerances import CLOSED_FORM
 
+from identknee.diagnosis import noise_model
 from identknee.diagnosis.noise_model import (
     Curve,
     build_noise_model,
@@ -60,6 +63,49 @@ def test_nuisances_in_the_covariance_are_nuisances_fitted_with_their_prior() -> 
     fitted, *_ = np.linalg.lstsq(rows, data, rcond=None)
     least = np.sum((data - rows @ fitted) ** 2)
     assert np.sum(whole.whiten(values) ** 2) == pytest.approx(least, rel=SOLVED)
+
+
+@pytest.mark.parametrize("most", [1, 37, 100])
+@pytest.mark.parametrize("n_nuisances", [0, 30])
+def test_whitened_in_blocks_is_whitened_at_once(
+    n_nuisances: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generator = np.random.default_rng(2)
+    measured = generator.random((63, 5)) < 0.8
+    m = int(measured.sum())
+    nuisance, spread = generator.standard_normal((m, n_nuisances)), np.full(n_nuisances, 0.1)
+    values = generator.standard_normal((m, 3))
+    monkeypatch.setattr(noise_model, "BLOCK", most)
+    noise = build_noise_model(
+        generator.uniform(0.5, 2.0, (63, 5)),
+        measured,
+        correlation=0.3,
+        nuisance=nuisance,
+        nuisance_sd=spread,
+    )
+    expected = np.linalg.solve(noise.factor, values)
+    np.testing.assert_allclose(noise.whiten(values), expected, atol=CLOSED_FORM)
+    np.testing.assert_allclose(noise.whiten(values[:, 0]), expected[:, 0], atol=CLOSED_FORM)
+    np.testing.assert_allclose(noise.scale, np.diag(noise.factor), atol=CLOSED_FORM)
+    some = generator.random(m) < 0.5
+    among = np.linalg.cholesky(noise.covariance[np.ix_(some, some)])
+    expected = np.linalg.solve(among, values[some])
+    np.testing.assert_allclose(noise.of(some).whiten(values[some]), expected, atol=CLOSED_FORM)
+
+
+def test_four_times_the_values_need_four_times_the_memory() -> None:
+    peaks = []
+    for n in (300, 1200):
+        sd, nuisance = np.ones((n, 5)), np.random.default_rng(3).standard_normal((5 * n, 10))
+        tracemalloc.start()
+        noise = build_noise_model(
+            sd, sd > 0.0, correlation=0.3, nuisance=nuisance, nuisance_sd=np.ones(10)
+        )
+        noise.whiten(nuisance)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # With the square of their number it were sixteen times.
+    assert peaks[1] < 6.0 * peaks[0]
 
 
 @pytest.mark.parametrize("truth", [0.0, 0.3, 0.6])

@@ -72,7 +72,7 @@ def line(
 def posterior(made: Line) -> Laplace:
     n = made.parameters.n
     found = minimise(Evaluator(ProblemWithPriors(problem=made)), np.full(n, 0.5))
-    return laplace(found.evaluation, made.parameters, SD * np.eye(N_DATA))
+    return laplace(found.evaluation, made.parameters, np.full(N_DATA, SD))
 
 
 def test_without_bounds_it_is_the_evidence_of_a_linear_model() -> None:
@@ -240,7 +240,7 @@ def test_a_fit_stopped_short_has_no_end_at_its_estimate() -> None:
     whole = posterior(made)
     stopped = np.array(whole.theta)
     stopped[0] -= 3.0 * whole.sd[0]
-    found = laplace(problem(stopped), made.parameters, SD * np.eye(N_DATA))
+    found = laplace(problem(stopped), made.parameters, np.full(N_DATA, SD))
     # The linear model puts the interval above the estimate, which is then its lower end.
     assert found.lower[0] == found.theta[0]
     assert found.is_lower_open[0]

@@ -1,15 +1,21 @@
 """Which load a trial is about, in tables as a robot writes them."""
 
+from itertools import product
+
 import numpy as np
+from large_inputs import many_trials
 
 from identknee.diagnosis.investigation import trial_layout
 from identknee.laxity.protocol import (
+    ALIKE,
+    SAME_FLEXION_DEG,
     concatenate,
     dominant_loads,
     load_protocol,
     nominal_flexion,
     nominal_loads,
     opposite_pairs,
+    shown_flexion,
 )
 from identknee.laxity.table import COORDINATES, Laxity, example_laxity
 from identknee.laxity.trial_words import load_words
@@ -52,6 +58,31 @@ def test_opposite_trials_are_those_of_the_opposite_load_nearby() -> None:
     pairs = {(protocol.trials[i], protocol.trials[j]) for i, j in opposite_pairs(protocol)}
     ends = (("Anterior", "Posterior"), ("Internal", "External"), ("Varus", "Valgus"))
     assert pairs == {(f"{a}_{x}", f"{b}_{x}") for a, b in ends for x in ("0", "30", "60", "90")}
+
+
+def test_the_most_alike_of_many_opposite_trials_are_paired_first() -> None:
+    protocol = many_trials(60, seed=4)
+    found, flexion = dominant_loads(protocol), protocol.flexion_deg
+    fitting = []
+    for i, j in product(range(60), range(60)):
+        is_opposite = found.axis[i] == found.axis[j] and found.size[i] > 0.0 > found.size[j]
+        apart = abs(flexion[i] - flexion[j]) / SAME_FLEXION_DEG
+        unlike = abs(found.size[i] + found.size[j]) / abs(found.size[j]) / ALIKE if i != j else 2.0
+        if is_opposite and apart <= 1.0 and unlike <= 1.0:
+            fitting.append((apart + unlike, i, j))
+    pairs: set[tuple[int, int]] = set()
+    for _, i, j in sorted(fitting):
+        if not {i, j} & {x for pair in pairs for x in pair}:
+            pairs.add((i, j))
+    assert len(pairs) > 5
+    assert {(i, j) for i, j in opposite_pairs(protocol).tolist()} == pairs
+
+
+def test_many_angles_are_shown_together() -> None:
+    few = np.linspace(0.0, 90.0, 50)
+    np.testing.assert_array_equal(shown_flexion(few), few)
+    many = shown_flexion(np.linspace(0.0, 90.0, 51))
+    np.testing.assert_array_equal(np.unique(many), np.arange(0.0, 91.0, 15.0))
 
 
 def test_a_ramp_under_constant_compression_is_about_its_own_load() -> None:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from tolerances import SAME_POSE
 
-from identknee.mechanics.closest_point import mesh_distance
+from identknee.mechanics.closest_point import LEAF_SIZE, _build_tree, mesh_distance
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.reference import reference_knee
 
@@ -116,3 +116,21 @@ def test_the_order_of_the_points_does_not_matter(sheet: trimesh.Trimesh) -> None
     # Ties between features of one distance may fall either way on a rim, nowhere else.
     _, off_rim = _far_from_rim(sheet, points)
     np.testing.assert_array_equal(there[off_rim], back[off_rim])
+
+
+@pytest.mark.parametrize("n", [1, 4, 5, 37, 100])
+def test_a_tree_holds_every_triangle_once_in_boxes_within_boxes(n: int) -> None:
+    corners = np.random.default_rng(n).standard_normal((n, 3, 3))
+    order, boxes, spans = _build_tree(corners)
+    assert sorted(order.tolist()) == list(range(n))
+    leaves: list[int] = []
+    for here, (first, end, right) in enumerate(spans.tolist()):
+        inside = corners[order[first:end]].reshape(-1, 3)
+        np.testing.assert_array_equal(boxes[here], [inside.min(axis=0), inside.max(axis=0)])
+        if right < 0:
+            assert 0 < end - first <= LEAF_SIZE
+            leaves += range(first, end)
+            continue
+        middle = spans[here + 1, 1]
+        assert (spans[here + 1, 0], spans[right, 0], spans[right, 1]) == (first, middle, end)
+    assert leaves == list(range(n))

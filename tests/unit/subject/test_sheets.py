@@ -47,6 +47,18 @@ def test_gap_and_facing_normals() -> None:
     assert sheets.gap_between(above.moved(np.eye(3), [0, -2.5, 0]), SQUARE) == 0.0
 
 
+def test_part_of_a_fine_surface_faces_as_all_of_it(
+    reference: Knee, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs = [(reference.femur, x) for x in reference.tibia]
+    pairs += [(x, reference.femur) for x in reference.tibia]
+    whole = [sheets.facing_normals(*x) for x in pairs]
+    monkeypatch.setattr(sheets, "MOST_WHOLE", 5000)
+    monkeypatch.setattr(sheets, "LOOKED_AT", 4000)
+    part = [sheets.facing_normals(*x) for x in pairs]
+    np.testing.assert_allclose(part, whole, atol=0.05)
+
+
 def test_overlap_equals_the_closed_form(reference: Knee) -> None:
     assert reference.femur_distance is not None
     for plateau in reference.tibia:
