@@ -11,8 +11,10 @@ from scipy.special import stdtrit
 
 from identknee.calibrate.fit import DEGREES, Fit, fit_student, load_start, student_scales
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import ROUNDING, Problem, evaluate
+from identknee.calibrate.problem import ROUNDING, Problem, evaluate, typical_steps
 from identknee.checks.fit_checks import (
+    APART,
+    AS_GOOD,
     Fitted,
     bound_findings,
     check_fit,
@@ -54,7 +56,14 @@ from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_PARAMETER,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
@@ -266,6 +275,44 @@ def heavy_tail_findings(problem: Problem, laxity: Laxity, found: Fit) -> tuple[s
     return (sentence,)
 
 
+@declared
+class Optimum:
+    """Another parameter set that fits about as well."""
+
+    theta: Array = array("Where the search ended", "parameter", unit=OF_PARAMETER)
+    rise: float = entry("Deviance above that of the fit, in units of the noise", unit="1")
+
+
+def _optima(fits: Sequence[Fit], scale: float) -> tuple[Optimum, ...]:
+    """The ends of other searches that fit as well at the 95 % level, each once."""
+    made: list[Optimum] = []
+    parameters, best = fits[0].parameters, fits[0]
+    steps, known = typical_steps(parameters), [best.theta]
+    for other in fits[1:]:
+        rise = (other.deviance - best.deviance) / scale
+        asked = parameters.is_of_interest
+        away = [np.max(np.abs((other.theta - x) / steps)[asked]) for x in known]
+        if rise <= AS_GOOD and min(away) > APART:
+            made.append(Optimum(theta=other.theta, rise=rise))
+            known.append(other.theta)
+    return tuple(made)
+
+
+def _origin(best: Fit, start: Array) -> str:
+    if np.array_equal(best.start, start):
+        return "the given start"
+    return "another start: Sobol points around the given one, and by the stretch of ligaments"
+
+
+def _scale(trials: TrialSearch, laxity: Laxity, found: Fit) -> float:
+    """Variance of the residuals: 1 where they are in units of a stated noise."""
+    if trials.weighting == "noise":
+        return 1.0
+    n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
+    degrees = max(int(laxity.is_measured.sum()) - n_free, 1)
+    return max(found.deviance / degrees, ROUNDING)
+
+
 # The subject as fitted, in the folder of the results.
 FITTED = "fitted"
 Weighting = Literal["unit", "noise"]
@@ -280,6 +327,10 @@ class Calibration(SimulatedLaxity):
     search: Fit = entry("The search", group="optimization")
     data: Laxity = entry("The measured laxity", group="observed_data")
     rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
+    origin: str = entry("Where the search began that ended lowest")
+    optima: tuple[Optimum, ...] = entry(
+        "Other ends that fit as well at the 95 % level", rows="optimum", group="optima"
+    )
     held_out: HeldOut | None = entry(
         "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None
     )
@@ -449,10 +500,8 @@ def fit(
             budget=BRIEF if problem.parameters.nuisance_names else budget,
         )
         # The lowest of all may hold every trial at its measured pose.
-        if np.isfinite(problem.residuals(fits[0].theta)).all():
-            found = fits[0]
-        else:
-            fits = (found,)
+        fits = fits if np.isfinite(problem.residuals(fits[0].theta)).all() else (found,)
+        found = replace(fits[0], start=theta)
     prediction = model.predict(found.theta, derivatives=False)
     error = laxity_rmse(
         Laxity(protocol=laxity.protocol, coordinates=prediction.coordinates), laxity
@@ -473,6 +522,8 @@ def fit(
         data=laxity,
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
+        origin=_origin(fits[0], used.start),
+        optima=_optima(fits, _scale(trials, used.laxity, found)),
         held_out=held,
         assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
@@ -507,7 +558,7 @@ def _findings(
     error: LaxityError,
 ) -> tuple[Finding, ...]:
     """Findings about a fit, the first of several."""
-    found, scale = fits[0], 1.0
+    found = fits[0]
     model, table, laxity = trials.model, trials.laxity, used.laxity
     lost = excluded_trial_findings(model.knee, table, laxity)
     if found.outcome is Outcome.START_FAILED:
@@ -519,8 +570,6 @@ def _findings(
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
-        degrees = max(int(laxity.is_measured.sum()) - n_free, 1)
-        scale = max(found.deviance / degrees, ROUNDING)
     held = (*found.fixed, *found.parameters.nuisance_names)
     fitted = Fitted(
         model=model,
@@ -534,7 +583,7 @@ def _findings(
     few = too_few_findings(int(laxity.is_measured.sum()), n_free)
     starts = start_findings(
         np.array([x.theta for x in fits]),
-        np.array([x.deviance for x in fits]) / scale,
+        np.array([x.deviance for x in fits]) / _scale(trials, laxity, found),
         found.parameters,
     )
     return check_fit(fitted, (*lost, *few, *starts))
