@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
 import xarray
@@ -22,8 +22,12 @@ from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
+from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.options import option, trials_option
+from identknee.verbs.values import check_word
 from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
+
+Around = Literal["start", "fit"]
 
 
 @declared
@@ -70,15 +74,24 @@ def sensitivity(
         PathLike | None,
         option("Results folder of: identknee sample.", metavar="DIR", typed=Path | None),
     ] = None,
+    around: Annotated[
+        Around | None,
+        option(
+            "Middle of the ranges. start: {--start}. fit: the best fit to {DATA}, where errors of "
+            "geometry stay at their values there. If not given: fit where every trial of {DATA} "
+            "has its own flexion angle, else start."
+        ),
+    ] = None,
+    noise: options.Noise = None,
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.RunOptions],
+    **_: Unpack[options.KneeOptions],
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 
     Laxity is grouped by coordinate, flexion angle and kind of load. Trials without a stable pose
-    are an output of their own. Parameters vary around {--start}. All indices, with confidence
+    are an output of their own. Parameters vary around {--around}. All indices, with confidence
     intervals and convergence, are in result.nc.
 
     Raises
@@ -94,8 +107,21 @@ def sensitivity(
     planned = "seed63" if protocol is None else protocol
     tests = read_tests(planned) if data is None else data
     model = model_for_tests(subject, tests)
+    if around is None:
+        around = "fit" if data is not None and model.poses is not None else "start"
+    check_word("around", around, get_args(Around))
+    if around == "start":
+        said: tuple[str, ...] = ()
+        middle = load_start(start, model.parameters)
+    elif data is None:
+        raise ValueError("--around fit needs measured laxity; give DATA.csv, or use --around start")
+    else:
+        setup = identification(subject, data, noise=noise, start=start, fixed=fixed)
+        best = best_fits(setup, seed=seed, executor=run.executor)[0]
+        model, tests, middle = setup.model, setup.laxity, setup.free.expand(best.theta)
+        said = (*setup.assumptions, f"Parameters vary around the best fit. {best.message}")
     held = {*(fixed or ()), *model.parameters.nuisance_names}
-    free = model.parameters.with_fixed(tuple(held), load_start(start, model.parameters))
+    free = model.parameters.with_fixed(tuple(held), middle)
     if free.parameters.n < 2:
         raise ValueError(
             "a sensitivity analysis needs at least two parameters that vary; fix fewer"
@@ -120,7 +146,12 @@ def sensitivity(
     )
     groups = {x.name: x for x in laxity_groups(outputs.model.protocol)}
     nothing = (finding("no-set-converges", "trials"),) if found.share_failed == 1.0 else ()
-    return GlobalSensitivity(analysis=found, laxity_groups=tuple(groups.values()), findings=nothing)
+    return GlobalSensitivity(
+        analysis=found,
+        laxity_groups=tuple(groups.values()),
+        assumptions=said,
+        findings=nothing,
+    )
 
 
 def _where(
