@@ -26,6 +26,9 @@ N_STARTS = 16
 REACH = 2.0
 # Of several brief fits the lowest that go on: where they end is not the order in which they began.
 N_FINISHED = 4
+# Searches of a round of hops, their reach in prior standard deviations round by round, the gain in
+# deviance that counts, and how many rounds may gain nothing.
+N_HOPS, REACH_OF_HOPS, A_GAIN, MOST_IDLE = 8, (1.0, 0.5, 1.0, 0.5, 1.0), 0.05, 2
 # kN, and % of strain at the longest measured length.
 LEAST_STIFFNESS, STRETCHES = 1.0, (-3.0, 10.0)
 
@@ -94,6 +97,9 @@ def with_fits_from(
 ) -> tuple[Fit, ...]:
     """A fit and those from other points, from low to high.
 
+    With a budget the searches are brief, and hops follow: searches from points near the lowest end,
+    which keep its nuisances, until two rounds of them find nothing lower [1]_.
+
     Parameters
     ----------
     problem
@@ -105,7 +111,13 @@ def with_fits_from(
     executor
         Anything with an ordered ``map``.
     budget
-        Simulations allowed for each; only the lowest few go on to their ends.
+        Simulations allowed for each; only the lowest few go on to their ends. All do if None, and
+        none hops.
+
+    References
+    ----------
+    .. [1] D. J. Wales and J. P. K. Doye, Global optimization by basin-hopping, J. Phys. Chem. A 101
+           (1997) 5111-5116, doi:10.1021/jp970984n.
     """
     seed, held = first.seed, [problem.parameters.index(x) for x in first.fixed]
     points = np.clip(points, problem.parameters.lower, problem.parameters.upper)
@@ -116,13 +128,34 @@ def with_fits_from(
     fits = sorted([first, *around], key=lambda one: one.objective)
     if budget is None:
         return tuple(fits)
-    unfinished = [i for i, x in enumerate(fits[:N_FINISHED]) if x.outcome is Outcome.BUDGET]
-    thetas = np.array([fits[i].theta for i in unfinished]).reshape(-1, first.theta.size)
-    ends = fit_many(problem, thetas, seed=seed, executor=executor, **how)
+    fits, idle = _finished(problem, fits, N_FINISHED, how, executor), 0
+    for k, reach in enumerate(REACH_OF_HOPS):
+        lowest = fits[0]
+        near = sobol_around(problem.parameters, lowest.theta, N_HOPS, reach=reach, seed=seed + k)
+        near[:, held] = lowest.theta[held]
+        found = fit_many(problem, near, seed=seed + k, executor=executor, **brief)
+        fits = sorted([*fits, *found], key=lambda one: one.objective)
+        fits = _finished(problem, fits, 1, how, executor)
+        idle = 0 if fits[0].deviance < lowest.deviance - A_GAIN else idle + 1
+        if idle == MOST_IDLE:
+            break
+    return tuple(fits)
+
+
+def _finished(
+    problem: Problem, fits: list[Fit], n: int, how: FitSettings, executor: Executor
+) -> list[Fit]:
+    """The fits, of which the lowest n go on to their ends, from low to high."""
+    fits = list(fits)
+    unfinished = [i for i, x in enumerate(fits[:n]) if x.outcome is Outcome.BUDGET]
+    if not unfinished:
+        return fits
+    thetas = np.array([fits[i].theta for i in unfinished])
+    ends = fit_many(problem, thetas, seed=fits[0].seed, executor=executor, **how)
     for i, end in zip(unfinished, ends, strict=True):
-        n = fits[i].n_simulations + end.n_simulations
-        fits[i] = replace(end, start=fits[i].start, n_simulations=n)
-    return tuple(sorted(fits, key=lambda one: one.objective))
+        spent = fits[i].n_simulations + end.n_simulations
+        fits[i] = replace(end, start=fits[i].start, n_simulations=spent)
+    return sorted(fits, key=lambda one: one.objective)
 
 
 def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
