@@ -100,16 +100,15 @@ class LaxityResiduals:
         measured = self.laxity.is_measured
         lost = measured.any(axis=1) & ~prediction.is_converged
         coordinates = prediction.coordinates
-        if self.held is None:
-            if lost.any():
-                return np.full(int(measured.sum()), np.inf)
-            return self.weighted(-self._difference(coordinates))
         lack = np.zeros(lost.size)
         if lost.any():
+            if self.held is None:
+                return np.full(int(measured.sum()), np.inf)
             held, _, lack = self.held.predict(theta)
             coordinates = np.where(lost[:, None], held, coordinates)
             lack = np.where(lost, lack, 0.0)
-        return np.concatenate([self.weighted(-self._difference(coordinates)), self._far * lack])
+        rows = self.weighted(-self._difference(coordinates))
+        return rows if self.held is None else np.concatenate([rows, self._far * lack])
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``; NaN where they are infinite.

@@ -403,8 +403,8 @@ IDENTIFICATION = (
     fault(
         "identknee/model/residuals.py",
         "LaxityResiduals.residuals",
-        "return self.weighted(-self._difference(prediction.coordinates))",
-        "return self.weighted(self._difference(prediction.coordinates))",
+        "rows = self.weighted(-self._difference(coordinates))",
+        "rows = self.weighted(self._difference(coordinates))",
         "residuals have the other sign than their derivatives",
         "tests/unit/model/test_residuals.py",
     ),

@@ -3,8 +3,18 @@
 import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters, sloppy_springs
+from small_knee import as_read, small_knee
 
-from identknee.identify.optimum import best_fit, best_fits
+from identknee.calibrate.fit import fit
+from identknee.identify.optimum import (
+    N_FINISHED,
+    best_fit,
+    best_fits,
+    starts_by_stretch,
+    with_fits_from,
+)
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 
@@ -43,8 +53,53 @@ def test_of_brief_fits_only_the_lowest_goes_on_to_its_end() -> None:
     problem = sloppy_springs()
     lowest, *others = best_fits(problem, budget=4)
     assert lowest.theta == pytest.approx(problem.minimum, abs=1e-5)
-    assert {x.outcome for x in others} == {Outcome.BUDGET}
-    assert max(x.n_simulations for x in others) == 4
+    stopped = [x for x in others if x.outcome is Outcome.BUDGET]
+    assert len(stopped) > 16 - N_FINISHED
+    assert {x.n_simulations for x in stopped} == {4}
+
+
+def test_hops_reach_a_lower_valley_beside_the_lowest_end() -> None:
+    """From the left minimum of two, no other start, a hop of one prior sd leads to the right."""
+    problem = ClosedForm(
+        name="two near valleys",
+        parameters=plain_parameters(1),
+        start=np.array([-0.4]),
+        minimum=np.array([0.4]),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([10.0 * (x[0] ** 2 - 0.16), 0.3 * (x[0] - 0.4)]),
+        jacobian_at=lambda x: np.array([[20.0 * x[0]], [0.3]]),
+    )
+    first = fit(problem, problem.start)
+    assert first.theta[0] < 0.0
+    (alone,) = with_fits_from(problem, first, np.zeros((0, 1)))
+    assert alone is first
+    lowest = with_fits_from(problem, first, np.zeros((0, 1)), budget=50)[0]
+    assert lowest.theta == pytest.approx([0.4], abs=1e-6)
+
+
+def test_what_a_fit_holds_is_held_in_the_others() -> None:
+    problem = sloppy_springs()
+    start = problem.parameters.center
+    first = fit(problem, start, fixed=problem.parameters.names[:1])
+    points = start + 0.1 * np.random.default_rng(0).normal(size=(4, start.size))
+    for other in with_fits_from(problem, first, points, budget=30):
+        assert other.theta[0] == start[0]
+
+
+def test_starts_by_stretch_stretch_each_ligament_by_minus_3_to_10_percent() -> None:
+    laxity = as_read()
+    model = LaxityModel(knee=small_knee(), protocol=laxity.protocol).with_tests(laxity)
+    start, u = model.parameters.start, model.tied.n
+    starts = starts_by_stretch(model, start, 16)
+    slack = strains_as_measured(model.setting(start), 0.0)
+    stretch = starts[:, u : 2 * u] - slack
+    assert stretch.min() >= -3.0 - 1e-9
+    assert stretch.max() <= 10.0 + 1e-9
+    assert np.ptp(stretch, axis=0).min() > 8.0
+    assert starts[:, :u].min() >= 1.0
+    # Evenly in the logarithm: half of them below the geometric mean of 1 and 40 kN.
+    below = (starts[:, :u] < np.sqrt(40.0)).sum(axis=0)
+    np.testing.assert_array_equal(below, 8)
 
 
 def test_a_start_outside_the_bounds_is_refused() -> None:
