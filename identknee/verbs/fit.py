@@ -327,9 +327,9 @@ class Calibration(SimulatedLaxity):
     search: Fit = entry("The search", group="optimization")
     data: Laxity = entry("The measured laxity", group="observed_data")
     rmse: LaxityError = entry("Root-mean-square error of the predicted laxity")
-    origin: str = entry("Where the search began that ended lowest")
+    origin: str = entry("Where the search began that ended lowest", default="the given start")
     optima: tuple[Optimum, ...] = entry(
-        "Other ends that fit as well at the 95 % level", rows="optimum", group="optima"
+        "Other ends that fit as well at the 95 % level", rows="optimum", group="optima", default=()
     )
     held_out: HeldOut | None = entry(
         "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None

@@ -54,9 +54,13 @@ class Sweep(Answer):
     best: Fit | None = entry(
         "The best fit that other verbs find, where no polished end is as low; null elsewhere",
         group="best",
+        default=None,
     )
-    n_trials_lost: IntArray = array(
-        "Measured trials without equilibrium at each polished end", "start", dtype=int
+    n_trials_lost: IntArray | None = array(
+        "Measured trials without equilibrium at each polished end; null where every end has all",
+        "start",
+        dtype=int,
+        default=None,
     )
     cliffs: CliffMap | None = entry(
         "Cliffs on straight paths from starts to the best fit; null where none was looked for",
@@ -189,10 +193,10 @@ def _lowest_known(run: Run, setup: Identification, seed: int) -> Fit | None:
     return best_fits(setup, seed=seed, executor=run.executor)[0]
 
 
-def _numbers_lost(setup: Identification, searches: SweepSearches) -> IntArray:
+def _numbers_lost(setup: Identification, searches: SweepSearches) -> IntArray | None:
     """How many trials used have no equilibrium at each polished end, shape ``(N,)``."""
     if setup.everywhere is setup.problem:
-        return np.zeros(searches.n, int)
+        return None
     measured = setup.laxity.is_measured.any(axis=1)
     predictions = (
         setup.model.predict(setup.free.expand(x), derivatives=False) for x in searches.polished
