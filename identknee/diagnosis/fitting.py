@@ -5,10 +5,11 @@ from dataclasses import field, replace
 from enum import StrEnum
 
 import numpy as np
+from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.problem import Evaluation, Evaluator, ProblemWithPriors
-from identknee.checks.fit_checks import nuisance_findings
+from identknee.checks.fit_checks import BEYOND_PRIOR, nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
     Projector,
@@ -37,7 +38,7 @@ from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
@@ -160,6 +161,50 @@ class FittedModel:
     def projector(self) -> Projector:
         """The projector off the fitted parameters."""
         return base_projector(self.evaluation.jacobian)
+
+    @property
+    def counts_as_misfit(self) -> BoolArray:
+        """Which rows say whether the model fits, shape ``(m + p,)``: all but ligaments' priors.
+
+        A ligament far from its prior is a finding about the knee, and no fault of the model.
+        """
+        counts = np.ones(len(self.evaluation.residuals), bool)
+        counts[self.n_data : self.n_data + self.model.n_ligament_parameters] = False
+        return counts
+
+    @property
+    def is_scored(self) -> BoolArray:
+        """Which rows causes are scored by, shape ``(m + p,)``: all but priors that are refuted.
+
+        That an effect brings ligaments back to their priors speaks for it, unless the data put
+        a ligament so far off that its prior says nothing of this knee.
+        """
+        scored, n = np.ones(len(self.evaluation.residuals), bool), self.model.tied.n
+        rows = self.n_data + np.arange(n)
+        away = self.evaluation.residuals
+        refuted = n * chdtrc(2.0, away[rows] ** 2 + away[rows + n] ** 2) < BEYOND_PRIOR
+        scored[rows] = scored[rows + n] = ~refuted
+        return scored
+
+    @property
+    def scored_rows(self) -> Array:
+        """Measured less predicted, whitened, then the priors that causes are scored by."""
+        return self.residual_rows()[self.is_scored]
+
+    @property
+    def scored_projector(self) -> Projector:
+        """The projector off the fitted parameters in those rows."""
+        return base_projector(self.evaluation.jacobian[self.is_scored])
+
+    @property
+    def misfit_rows(self) -> Array:
+        """Measured less predicted, whitened, then the priors of nuisances and of causes."""
+        return self.residual_rows()[self.counts_as_misfit]
+
+    @property
+    def misfit_projector(self) -> Projector:
+        """The projector off the fitted parameters in those rows, ligaments without a prior."""
+        return base_projector(self.evaluation.jacobian[self.counts_as_misfit])
 
     def columns(self, changes: Array) -> Array:
         """Changes of the coordinates (n, 5, k), whitened, shape ``(m, k)``."""
@@ -353,10 +398,18 @@ class Refit:
         return self.fitted.model.parameters.n - sum(x.parameters.n for x in self.causes)
 
     @property
-    def penalised_chi2(self) -> float:
-        """Misfit of the data and how far the base parameters left their prior, as a chi-square."""
-        rows = self.fitted.evaluation.residuals[: self.fitted.n_data + self.n_base]
-        return float(rows @ rows)
+    def misfit_chi2(self) -> float:
+        """Chi-square of the data and of the priors of nuisances and causes; inf without a fit.
+
+        It is what would be left if ligaments were free of their priors. What a fit that ended
+        before its minimum might still gain is added: it must not seem better than it is.
+        """
+        if not self.fitted.evaluation.is_finite:
+            return np.inf
+        left = self.fitted.misfit_projector.project(self.fitted.misfit_rows)
+        rows = self.fitted.residual_rows()
+        unfinished = rows - self.fitted.projector.project(rows)
+        return float(left @ left + unfinished @ unfinished)
 
     @property
     def misfit_p_value(self) -> float:
@@ -367,9 +420,9 @@ class Refit:
         """The same if the noise were so many times as large; 0 without a prediction."""
         if not self.fitted.evaluation.is_finite:
             return 0.0
-        rows, projector = self.fitted.residual_rows() / factor, self.fitted.projector
-        # Not projected: a fit that ended before its minimum must not seem better than it is.
-        whole = chi2_or_f_test(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
+        rows, projector = self.fitted.misfit_rows / factor, self.fitted.misfit_projector
+        square = self.misfit_chi2 / factor**2
+        whole = chi2_or_f_test(square, projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])

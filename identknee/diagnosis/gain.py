@@ -818,10 +818,10 @@ def _assess(
         at = evaluate(
             whitened_problem(fitted.model, fitted.laxity, observations.noise), fitted.theta
         )
-    errors = -fitted.compared.residuals(fitted.theta)
+    errors, counts = -fitted.compared.residuals(fitted.theta), fitted.counts_as_misfit
     return Assessment(
         check=omnibus_check(
-            -at.residuals, base_projector(at.jacobian), noise_degrees=noise_degrees
+            -at.residuals[counts], base_projector(at.jacobian[counts]), noise_degrees=noise_degrees
         ),
         errors=errors,
         in_sample=observations.rmse(errors),

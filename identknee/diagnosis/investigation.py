@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from identknee.calibrate.fit import load_start
-from identknee.checks.fit_checks import bound_findings, parameters_at_zero
+from identknee.checks.fit_checks import (
+    bound_findings,
+    ligament_findings,
+    parameters_at_zero,
+)
 from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
@@ -172,6 +176,7 @@ class Investigation:
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         held = (*parameters.nuisance_names, *absent)
         findings += bound_findings(fitted.theta, parameters, held)
+        findings += ligament_findings(fitted.model, fitted.compared.model.predict_once(fitted.theta))
         findings += fitted.nuisance_findings
         findings += [
             finding(
@@ -236,7 +241,7 @@ def investigate(
     conclusion = conclude(attribution, p_value)
     fitted = base.fitted
     localised = localise(
-        fitted.residual_rows(), fitted.projector, fitted.noise, trial_layout(laxity), seed=seed
+        fitted.misfit_rows, fitted.misfit_projector, fitted.noise, trial_layout(laxity), seed=seed
     )
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:

@@ -16,6 +16,7 @@ from identknee.model.effects.loads import (
     parasitic_shear,
     shank_gravity,
 )
+from identknee.model.effects.muscles import muscle_tension
 from identknee.model.effects.readings import (
     Remounting,
     creep,
@@ -124,6 +125,7 @@ _BY_NAME: dict[str, Maker] = {
     "cartilage": _make_on_any_subject(Cartilage),
     "compression": _make_on_any_subject(compression),
     "shank_gravity": _make_on_any_subject(shank_gravity),
+    "muscle_tension": muscle_tension,
     "moment_gain_IE": _make_on_any_subject(partial(moment_gain, "IE")),
     "moment_gain_VV": _make_on_any_subject(partial(moment_gain, "VV")),
     "moment_offset": _make_on_any_subject(moment_offset),

@@ -1,0 +1,65 @@
+"""Muscles that pull while a knee is tested: constant forces along their lines of action."""
+
+from functools import partial
+
+import numpy as np
+
+from identknee.model.effects.effect import amplitudes
+from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y
+from identknee.runs.arrays import Array
+from identknee.subject.anatomy import anatomy
+from identknee.subject.knee import Knee
+
+MUSCLES = ("quadriceps", "hamstrings", "gastrocnemius")
+# Angle of the patellar tendon before the tibia's axis in extension, and how it falls with flexion.
+TENDON_DEG, TENDON_SLOPE = 20.0, 0.3
+# The same angle of the gastrocnemius, at any flexion.
+GASTROCNEMIUS_DEG = 3.0
+# Lateral of the middle of both plateaus [mm]: where each line crosses the joint in a typical knee.
+# Medial hamstrings and the medial head of the gastrocnemius are about twice the lateral ones.
+LATERAL = (5.0, -2.0, -7.0)
+TONE_SD, MOST_TONE = 60.0, 300.0  # N
+
+
+def muscle_tension(knee: Knee) -> LoadError:
+    """Constant pulls of the quadriceps, the hamstrings and the gastrocnemius [N], as in vivo.
+
+    The quadriceps pulls on the tibia along the patellar tendon, whose angle falls with flexion
+    [1]_. The hamstrings pull along the femur, the gastrocnemius nearly along the tibia. Where they
+    cross the joint is an estimate. No muscle pushes.
+
+    References
+    ----------
+    .. [1] W. Herzog and L. J. Read, Lines of action and moment arms of the major force-carrying
+           structures crossing the human knee joint, J. Anat. 182 (1993) 213-230.
+    """
+    found = anatomy(knee)
+    places = [knee.tibia_frame.to_local(x.plateau_centre)[2] for x in found.compartments]
+    lateral = np.mean(places) + found.size * np.array(LATERAL)
+    made = amplitudes(
+        "muscle_tension",
+        [f"{x}_N" for x in MUSCLES],
+        3 * [TONE_SD],
+        lower=3 * [0.0],
+        upper=3 * [MOST_TONE],
+    )
+    acted = partial(_pulled, lateral)
+    return LoadError(name="muscle_tension", parameters=made, acted=acted)
+
+
+def _pulled(lateral: Array, loads: Array, flexion: Array, values: Array) -> Array:
+    forward = np.stack(
+        [
+            np.radians(TENDON_DEG) - TENDON_SLOPE * flexion,
+            -flexion,
+            np.full(len(flexion), np.radians(GASTROCNEMIUS_DEG)),
+        ],
+        axis=1,
+    )
+    ahead, up = values * np.sin(forward), values * np.cos(forward)
+    acted = np.array(loads)
+    acted[:, X] += ahead.sum(axis=1)
+    acted[:, Y] += up.sum(axis=1)
+    acted[:, VARUS] -= up @ lateral
+    acted[:, INTERNAL] += ahead @ lateral
+    return acted
