@@ -176,7 +176,8 @@ class Investigation:
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         held = (*parameters.nuisance_names, *absent)
         findings += bound_findings(fitted.theta, parameters, held)
-        findings += ligament_findings(fitted.model, fitted.compared.model.predict_once(fitted.theta))
+        found = fitted.model.predict_once(fitted.theta)
+        findings += ligament_findings(fitted.model, found)
         findings += fitted.nuisance_findings
         findings += [
             finding(

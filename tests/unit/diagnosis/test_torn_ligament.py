@@ -45,7 +45,8 @@ def test_it_is_named_and_asked_for_no_strain() -> None:
     named = [x for x in found.findings if x.code == "ligament-idle"]
     assert [x.where for x in named] == [TORN]
     force, expected = (named[0].values[x] for x in ("force_N", "prior_force_N"))
-    assert isinstance(force, float) and isinstance(expected, float)
+    assert isinstance(force, float)
+    assert isinstance(expected, float)
     assert force < 0.05 * expected
     assert not [x for x in implausible_explanation(found) if x.code == "implausible-strain"]
 
