@@ -30,6 +30,7 @@ from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
+from identknee.model.effects.tissues import LigamentBundles
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -101,7 +102,7 @@ def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Varian
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
         # What tells effects of one name apart.
-        place = effect.variant if isinstance(effect, InsertionShift) else ""
+        place = effect.variant if isinstance(effect, InsertionShift | LigamentBundles) else ""
         yield Variant(
             effect=effect,
             signature=Signature(

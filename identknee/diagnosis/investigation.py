@@ -143,7 +143,8 @@ class Investigation:
         first, *others = self.attribution.steps
         beside = next((x for x in others if x.at is self.explanation), first)
         joined = self.explanation.names
-        steps = ((first if x.name in joined else beside, x) for x in self._library())
+        named = {x.name: x for x in self._library()}.values()
+        steps = ((first if x.name in joined else beside, x) for x in named)
         return tuple(step.exclusion(effect, step.scores) for step, effect in steps)
 
     @cached_property

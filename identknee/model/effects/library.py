@@ -35,9 +35,12 @@ from identknee.model.effects.structures import (
     structure,
 )
 from identknee.model.effects.tissues import (
+    BUNDLES,
     WRAPPING,
     Cartilage,
+    LigamentBundles,
     bundles,
+    bundles_of_each,
     contact_nuisance,
     mcl_wrapping,
     meniscus,
@@ -57,7 +60,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     """All causes that can be tried on a subject, in the order of `FACTS`.
 
     Wrapping of the medial collateral ligament is left out where the subject has no such line, and
-    so is a structure where a ligament of the subject is called like it.
+    so is a structure where a ligament of the subject is called like it. Where the subject's lines
+    are bundles already, those of each ligament are a cause of their own, all of one name.
 
     Parameters
     ----------
@@ -86,7 +90,10 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
         left_out |= NEEDS_PHASE
     if anatomy(knee).medial_collateral is None:
         left_out.add(WRAPPING)
-    return tuple(effect_named(knee, x) for x in _MAKERS if x not in left_out)
+    named = {name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out}
+    if knee.groups:
+        named |= {BUNDLES: bundles_of_each(knee)}
+    return tuple(effect for each in named.values() for effect in each)
 
 
 def effect_named(knee: Knee, name: str) -> Effect:
@@ -118,7 +125,7 @@ def _make_on_any_subject(make: Callable[[], Effect]) -> Maker:
 
 _BY_NAME: dict[str, Maker] = {
     **{name: partial(_make_structure, name) for name in STIFFNESS_SD},
-    "bundles": bundles,
+    BUNDLES: bundles,
     WRAPPING: mcl_wrapping,
     "meniscus": meniscus,
     "toe_strain": _make_on_any_subject(toe_strain),
@@ -201,6 +208,11 @@ def choice_of(
         if own.name == effect.name:
             both = tuple(dict.fromkeys([*own.fixed, *fixed]))
             return replace(own, values={**own.values, **values}, fixed=both)
+    if isinstance(effect, LigamentBundles):
+        # The other ligaments stay as they are.
+        rest = {x.removeprefix(f"{effect.name}."): 0.0 for x in effect.whole.parameters.names}
+        fixed = (*fixed, *(x for x in rest if x not in values))
+        values = {**rest, **values}
     plain = EffectChoice(name=effect.name, values=values, fixed=tuple(fixed))
     if not isinstance(effect, MissingStructure | PosteriorCapsule):
         return plain
