@@ -575,8 +575,8 @@ NAMING = (
     fault(
         "identknee/diagnosis/verdict.py",
         "_Sets.look_back",
-        "while len(self.best.causes) > 1 and frozenset(self.best.names) not in self._seen:",
-        "while len(self.best.causes) > 9 and frozenset(self.best.names) not in self._seen:",
+        "found.append(_without(self._base, winner, name))",
+        "found.append(winner)",
         "nothing is taken back: stand-ins stay",
         "tests/unit/diagnosis/test_attribution.py::test_a_cause_that_another_made_superfluous_is_left_out",
     ),

@@ -19,6 +19,8 @@ from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
 
 # A torn ligament keeps so much of its stiffness; a slack one has so much less strain [%].
+# Without any other ligament, both knees have no equilibrium under any of the loads.
+MISSED = "MCL"
 TORN_SHARE, SLACK_PCT = 0.002, 25.0
 # Of which one is the share of the loads of the 63 trials: not every knee bears all without it.
 LOAD_SHARES = (1.0, 0.6, 0.35, 0.2)
@@ -31,8 +33,8 @@ LEAST_MOVED, MOST_DRAWS = 5.0, 60
 def torn_outcome(subject: str, seed: int) -> dict[str, Any]:
     """The diagnosis of laxity of the separate generator in which a ligament carries nothing.
 
-    Which one, whether it is torn or slack, and how much the others have, the seed says. Draws in
-    which it would not be missed, or the knee has no equilibrium without it, are drawn again.
+    Whether it is torn or slack, the loads, and what the others are, the seed says. Draws in which
+    it would not be missed, or the knee has no equilibrium without it, are drawn again.
     """
     own, generator = knee(subject), np.random.default_rng(seed)
     for _ in range(MOST_DRAWS):
@@ -66,7 +68,8 @@ def _torn(own: Knee, generator: np.random.Generator) -> tuple[Laxity, str, str, 
     strain = np.array([x.reference_strain_pct for x in own.ligaments])
     k = k * np.exp(generator.normal(0.0, STIFFNESS_LOG_SD, m))
     strain = strain + generator.normal(0.0, STRAIN_SD_PCT, m)
-    which, kind = int(generator.integers(m)), str(generator.choice(["torn", "slack"]))
+    which = [x.name for x in own.ligaments].index(MISSED)
+    kind = str(generator.choice(["torn", "slack"]))
     less = np.r_[k, strain]
     if kind == "torn":
         less[which] *= TORN_SHARE

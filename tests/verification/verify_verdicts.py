@@ -167,9 +167,7 @@ def row_of(found: Mapping[str, Outcomes]) -> Row:
     known = {name: [x for x in own if "error" not in x] for name, own in found.items()}
     singles = [*known["singles"], *known["real"]]
     constant = [*known["constant"], *known["constant2"]]
-    far = {
-        x["seed"] for x in known["distances"] if x["distance"] >= LEAST_DISTANCE
-    }
+    far = {x["seed"] for x in known["distances"] if x["distance"] >= LEAST_DISTANCE}
     unlisted = [x for x in known["unlisted"] if x["seed"] in far]
     shares = [
         (
@@ -184,7 +182,13 @@ def row_of(found: Mapping[str, Outcomes]) -> Row:
         ("two causes: both named or in the group", known["pairs"], _has_both, 0.7, True),
         ("two causes: exactly both named", known["pairs"], _is_exact, None, True),
         ("no listed cause: named all the same", unlisted, _is_named, 0.1, False),
-        ("more than two causes named", [*singles, *constant, *known["pairs"]], _is_many, 0.0, False),
+        (
+            "more than two causes named",
+            [*singles, *constant, *known["pairs"]],
+            _is_many,
+            0.0,
+            False,
+        ),
         ("one cause: wrong name", [*singles, *constant], lambda x: bool(x["wrong"]), 0.03, False),
         ("one cause: truth named or in the group", singles, _is_in_group, None, True),
         ("one cause: right name", singles, _is_right, None, True),
@@ -205,7 +209,11 @@ def row_of(found: Mapping[str, Outcomes]) -> Row:
             if x["verdict"] != "ADEQUATE" or not x["named"]
         ),
     ]
-    return Row(line="conclusions: torn ligaments, one cause, two, none listed", measures=measures, notes=notes)
+    return Row(
+        line="conclusions: torn ligaments, one cause, two, none listed",
+        measures=measures,
+        notes=notes,
+    )
 
 
 def _has_more(x: Mapping[str, Any]) -> bool:
