@@ -11,7 +11,6 @@ import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import as_completed
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -51,18 +50,31 @@ Made = Callable[[], dict[str, Any]]
 
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
-    """The row with every part more."""
-    found: dict[str, Outcomes] = {}
-    for name, made in PARTS.items():
-        found[name] = _kept(name, made(), options.workers)
-        yield _row(found)
-
-
-def _kept(name: str, tasks: list[Made], workers: int) -> Outcomes:
-    """The outcomes of a part, those that are kept and the others computed and kept."""
+    """The row of what is kept from earlier runs, then with every part more."""
     KEPT.parent.mkdir(exist_ok=True)
+    if KEPT.exists():
+        yield row_of(_of_parts(_known()))
+    for name, made in PARTS.items():
+        _compute(name, made(), options.workers)
+        yield row_of(_of_parts(_known()))
+
+
+def _known() -> dict[str, dict[str, Any]]:
+    """What is kept, by the part and the number of its task."""
     lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
-    known = {x["key"]: x for x in map(json.loads, lines)}
+    return {x["key"]: x for x in map(json.loads, lines)}
+
+
+def _of_parts(known: Mapping[str, dict[str, Any]]) -> dict[str, Outcomes]:
+    found: dict[str, Outcomes] = {name: [] for name in PARTS}
+    for key, outcome in known.items():
+        found[key.partition(":")[0]].append(outcome)
+    return found
+
+
+def _compute(name: str, tasks: list[Made], workers: int) -> None:
+    """Compute and keep the outcomes of a part that are not kept yet."""
+    known = _known()
     keys = [f"{name}:{i}" for i in range(len(tasks))]
     with process_pool(workers) as executor:
         running = {
@@ -71,10 +83,9 @@ def _kept(name: str, tasks: list[Made], workers: int) -> Outcomes:
             if key not in known
         }
         for done in as_completed(running):
-            known[running[done]] = {**done.result(), "key": running[done]}
+            outcome = {**done.result(), "key": running[done]}
             with KEPT.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(known[running[done]]) + "\n")
-    return [known[x] for x in keys]
+                file.write(json.dumps(outcome) + "\n")
 
 
 def _blind(
@@ -156,10 +167,6 @@ PARTS: Mapping[str, Callable[[], list[Made]]] = {
     "real": _real,
     "nulls": _nulls,
 }
-
-
-def _row(found: Mapping[str, Outcomes]) -> Row:
-    return row_of({name: found.get(name, []) for name in PARTS})
 
 
 def row_of(found: Mapping[str, Outcomes]) -> Row:
