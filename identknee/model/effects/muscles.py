@@ -19,6 +19,8 @@ GASTROCNEMIUS_DEG = 3.0
 # Medial hamstrings and the medial head of the gastrocnemius are about twice the lateral ones.
 LATERAL = (5.0, -2.0, -7.0)
 TONE_SD, MOST_TONE = 60.0, 300.0  # N
+# How far lines of action are from there, in place and direction, and the most that is plausible.
+LATERAL_SD, LEAN_SD, MOST_SDS = 5.0, 3.0, 3.0  # mm, deg
 
 
 def muscle_tension(knee: Knee) -> LoadError:
@@ -26,7 +28,8 @@ def muscle_tension(knee: Knee) -> LoadError:
 
     The quadriceps pulls on the tibia along the patellar tendon, whose angle falls with flexion
     [1]_. The hamstrings pull along the femur, the gastrocnemius nearly along the tibia. Where they
-    cross the joint is an estimate. No muscle pushes.
+    cross the joint is an estimate, so each line may lie further to one side [mm] or lean forward
+    [deg]. No muscle pushes.
 
     References
     ----------
@@ -36,18 +39,22 @@ def muscle_tension(knee: Knee) -> LoadError:
     found = anatomy(knee)
     places = [knee.tibia_frame.to_local(x.plateau_centre)[2] for x in found.compartments]
     lateral = np.mean(places) + found.size * np.array(LATERAL)
+    spread = [*3 * [LATERAL_SD], *3 * [LEAN_SD]]
+    farthest = [MOST_SDS * x for x in spread]
     made = amplitudes(
         "muscle_tension",
-        [f"{x}_N" for x in MUSCLES],
-        3 * [TONE_SD],
-        lower=3 * [0.0],
-        upper=3 * [MOST_TONE],
+        [f"{x}_{what}" for what in ("N", "lateral_mm", "forward_deg") for x in MUSCLES],
+        [*3 * [TONE_SD], *spread],
+        lower=[*3 * [0.0], *(-x for x in farthest)],
+        upper=[*3 * [MOST_TONE], *farthest],
     )
     acted = partial(_pulled, lateral)
     return LoadError(name="muscle_tension", parameters=made, acted=acted)
 
 
-def _pulled(lateral: Array, loads: Array, flexion: Array, values: Array) -> Array:
+def _pulled(places: Array, loads: Array, flexion: Array, values: Array) -> Array:
+    tension, aside, lean = values.reshape(3, len(MUSCLES))
+    lateral = places + aside
     forward = np.stack(
         [
             np.radians(TENDON_DEG) - TENDON_SLOPE * flexion,
@@ -56,7 +63,8 @@ def _pulled(lateral: Array, loads: Array, flexion: Array, values: Array) -> Arra
         ],
         axis=1,
     )
-    ahead, up = values * np.sin(forward), values * np.cos(forward)
+    forward += np.radians(lean)
+    ahead, up = tension * np.sin(forward), tension * np.cos(forward)
     acted = np.array(loads)
     acted[:, X] += ahead.sum(axis=1)
     acted[:, Y] += up.sum(axis=1)

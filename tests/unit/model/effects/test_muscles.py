@@ -66,6 +66,22 @@ def test_moments_are_those_of_the_force_where_it_crosses_the_joint(
     np.testing.assert_allclose(np.linalg.norm(found[:, [X, Y, Z]], axis=1), FORCE_N)
 
 
+def test_a_line_may_lie_further_to_one_side_and_lean(reference: Knee) -> None:
+    model = model_at(reference, 0.0)
+
+    def found(**values: float) -> Array:
+        theta = model.parameters.vector({f"muscle_tension.{x}": y for x, y in values.items()})
+        return model.setting(theta).loads[model.paths.trial_node][0]
+
+    plain = found(hamstrings_N=FORCE_N)
+    aside = found(hamstrings_N=FORCE_N, hamstrings_lateral_mm=4.0)
+    np.testing.assert_allclose(aside - plain, [-4.0 * FORCE_N, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+    leaning = found(hamstrings_N=FORCE_N, hamstrings_forward_deg=5.0)
+    assert leaning[X] == pytest.approx(FORCE_N * np.sin(np.radians(5.0)))
+    # Without tension a line does nothing, wherever it lies.
+    np.testing.assert_array_equal(found(hamstrings_lateral_mm=4.0), found())
+
+
 def test_tense_hamstrings_hold_the_tibia_back(reference: Knee) -> None:
     model = model_at(reference, 30.0, 60.0)
     relaxed = model.predict(model.parameters.center, derivatives=False)
