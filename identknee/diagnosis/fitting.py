@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.problem import Evaluation, Evaluator, ProblemWithPriors
-from identknee.checks.fit_checks import BEYOND_PRIOR, nuisance_findings
+from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
     Projector,
@@ -36,13 +36,13 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, StatedPrior
 
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
@@ -53,6 +53,8 @@ MOST_STEPS = 40
 # Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
 # to other minima.
 STRAIGHT_STEPS = 12
+# A prior that is refuted is so many times as wide; a share of the stiffness that carries nothing.
+WIDER, NEARLY_GONE = 10.0, 0.02
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -180,11 +182,15 @@ class FittedModel:
         a ligament so far off that its prior says nothing of this knee.
         """
         scored, n = np.ones(len(self.evaluation.residuals), bool), self.model.tied.n
-        rows = self.n_data + np.arange(n)
-        away = self.evaluation.residuals
-        refuted = n * chdtrc(2.0, away[rows] ** 2 + away[rows + n] ** 2) < BEYOND_PRIOR
-        scored[rows] = scored[rows + n] = ~refuted
+        scored[self.n_data : self.n_data + 2 * n] = np.tile(~self.is_refuted, 2)
         return scored
+
+    @property
+    def is_refuted(self) -> BoolArray:
+        """Of which ligaments the data refute the prior, shape ``(u,)``; groups count as one."""
+        n = self.model.tied.n
+        away = self.evaluation.residuals[self.n_data : self.n_data + 2 * n].reshape(2, n)
+        return np.asarray(n * chdtrc(2.0, (away**2).sum(axis=0)) < BEYOND_PRIOR)
 
     @property
     def scored_rows(self) -> Array:
@@ -336,6 +342,37 @@ class BaseFit:
 
     fitted: FittedModel = entry("The fit, nuisances among its errors")
     noise: DataNoise = entry("Errors of the data without nuisances")
+
+
+def without_idle_priors(base: BaseFit) -> BaseFit:
+    """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
+
+    What its prior says of it is not true of this knee: a torn ligament has no stiffness, and how
+    long a slack one is, no data tell. Where its prior still pulled, it would carry a little that
+    another effect could take away, and every effect that gives it a load would gain evidence.
+    """
+    fitted = base.fitted
+    model = fitted.model
+    loads = ligament_loads(model, model.predict_once(fitted.theta))
+    idle = [
+        name
+        for name, load, is_refuted in zip(model.tied.names, loads, fitted.is_refuted, strict=True)
+        if load.is_idle and is_refuted
+    ]
+    if not idle:
+        return base
+    p, priors, gone = model.parameters, dict(model.knee.priors), np.array(fitted.theta)
+    for owner in idle:
+        stiffness, strain = (p.index(f"{owner}.{x}") for x in (STIFFNESS, STRAIN))
+        gone[stiffness], gone[strain] = NEARLY_GONE * p.center[stiffness], p.center[strain]
+        for i in (stiffness, strain):
+            what = "log_sd" if p.is_log[i] else "sd"
+            wide = {what: WIDER * float(p.prior_sd[i]), "center": float(p.center[i])}
+            priors[p.names[i]] = StatedPrior(**wide)
+    free = base_model(replace(model.knee, priors=priors), fitted.laxity.protocol)
+    starts = [fitted.theta, gone]
+    found = best_fit_from(free.with_tests(fitted.laxity), fitted.laxity, fitted.noise, starts)
+    return BaseFit(fitted=found, noise=base.noise) if found.evaluation.is_finite else base
 
 
 def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:

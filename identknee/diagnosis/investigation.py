@@ -15,7 +15,14 @@ from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.fitting import BaseFit, Refit, best_fit_from, fit_base, without_causes
+from identknee.diagnosis.fitting import (
+    BaseFit,
+    Refit,
+    best_fit_from,
+    fit_base,
+    without_causes,
+    without_idle_priors,
+)
 from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
@@ -69,6 +76,8 @@ class Investigation:
 
     Attributes
     ----------
+    knee
+        The subject.
     laxity
         The data.
     noise
@@ -89,6 +98,7 @@ class Investigation:
         Seed of the distributions under no effect.
     """
 
+    knee: Knee
     laxity: Laxity
     noise: DataNoise
     base: Refit
@@ -119,7 +129,8 @@ class Investigation:
     @cached_property
     def extended_knee(self) -> Knee:
         """The subject with the causes found, for every other calculation."""
-        return self.explanation.extended_knee
+        # With its own priors, also of a ligament that carries nothing.
+        return replace(self.explanation.extended_knee, priors=self.knee.priors)
 
     @cached_property
     def gain(self) -> Gain | None:
@@ -233,11 +244,13 @@ def investigate(
         effects = [x for x in _library(knee, laxity) if x.name not in present]
     with stage("fitting the knee"):
         base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
-    if base_fit is None or not base_fit.fitted.evaluation.is_finite:
-        return None
+        if base_fit is None or not base_fit.fitted.evaluation.is_finite:
+            return None
+        base_fit = without_idle_priors(base_fit)
     attribution, p_value = _explained(base_fit, effects, seed)
     if (start := better_start(attribution)) is not None:
-        base_fit = fit_base(knee, laxity, starts=[*begin, start], seed=seed) or base_fit
+        again = fit_base(knee, laxity, starts=[*begin, start], seed=seed)
+        base_fit = base_fit if again is None else without_idle_priors(again)
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
@@ -253,6 +266,7 @@ def investigate(
     if conclusion.verdict is Verdict.UNEXPLAINED:
         line = find_line(base, seed=seed)
     return Investigation(
+        knee=knee,
         laxity=laxity,
         noise=noise,
         base=base,

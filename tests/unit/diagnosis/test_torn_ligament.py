@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from identknee.checks.fit_checks import ligament_findings, ligament_loads
+from identknee.diagnosis.fitting import WIDER, fit_base
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import STIFFNESS
+from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnosis import implausible_explanation
 
@@ -35,9 +37,17 @@ def test_a_torn_ligament_is_no_misfit() -> None:
     found = torn()
     assert found.conclusion.verdict is Verdict.ADEQUATE
     assert found.base.misfit_p_value > 0.05
-    # Its prior is far from where the data put it, and that is all that is improbable.
-    fitted = found.base.fitted
-    assert fitted.deviance - found.base.misfit_chi2 > 50.0
+    # It had no stiffness and no length that its prior could tell.
+    prior = LaxityModel(knee=reference_knee(), protocol=load_protocol("seed63")).parameters
+    own, fitted = found.base.fitted.model.parameters, found.base.fitted
+    wider = own.prior_sd[: prior.n] / prior.prior_sd
+    np.testing.assert_allclose(wider, np.where([TORN in x for x in prior.names], WIDER, 1.0))
+    np.testing.assert_array_equal(own.center[: prior.n], prior.center)
+    assert fitted.outcome is Outcome.MINIMUM
+
+
+def test_the_extended_subject_keeps_its_own_priors() -> None:
+    assert torn().extended_knee.priors == reference_knee().priors
 
 
 def test_it_is_named_and_asked_for_no_strain() -> None:
@@ -51,12 +61,15 @@ def test_it_is_named_and_asked_for_no_strain() -> None:
     assert not [x for x in implausible_explanation(found) if x.code == "implausible-strain"]
 
 
-def test_only_its_own_prior_is_left_out_of_the_scores() -> None:
-    fitted = torn().base.fitted
-    left_out = np.flatnonzero(~fitted.is_scored) - fitted.n_data
-    names = [fitted.model.parameters.names[i] for i in left_out]
-    assert names == [f"{TORN}.{STIFFNESS}", f"{TORN}.reference_strain_pct"]
-    assert (~fitted.counts_as_misfit).sum() == fitted.model.n_ligament_parameters
+def test_only_the_prior_that_is_refuted_is_left_out_of_the_scores() -> None:
+    """Before its prior is widened; it is then no longer refuted."""
+    knee = reference_knee()
+    fitted = fit_base(knee, torn().laxity, starts=[], seed=0)
+    assert fitted is not None
+    left_out = np.flatnonzero(~fitted.fitted.is_scored) - fitted.fitted.n_data
+    names = [fitted.fitted.model.parameters.names[i] for i in left_out]
+    assert names == [f"{TORN}.{STIFFNESS}", f"{TORN}.{STRAIN}"]
+    assert torn().base.fitted.is_scored.all()
 
 
 @pytest.mark.parametrize(("log_shift", "codes"), [
