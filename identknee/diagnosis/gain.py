@@ -13,7 +13,7 @@ from identknee.calibrate.problem import Evaluation, Evaluator, Problem, ProblemW
 from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.identify.laplace import Interval, Laplace, laplace
+from identknee.identify.laplace import Interval, Laplace, laplace, log_evidence
 from identknee.laxity.protocol import (
     DIRECTIONS,
     SAME_ANGLE_DEG,
@@ -670,12 +670,14 @@ class Assessment:
     """How well one model does."""
 
     check: ResidualTest = entry(
-        "Chi-square of data and priors together, its degrees of freedom and its probability"
+        "Chi-square of the data and of the priors of nuisances and causes, its degrees of freedom "
+        "and its probability"
     )
     errors: Array = array("Measured less predicted values", "value", unit="mm or deg")
     in_sample: Rmse = entry("Their root mean squares")
     held_out: CrossValidation = entry("Prediction of trials it was not fitted to")
-    posterior: Laplace = entry("Intervals of its parameters and its evidence")
+    posterior: Laplace = entry("Intervals of its parameters")
+    log_evidence: float = entry("Log evidence by which causes are ranked, up to a constant")
 
 
 @declared
@@ -739,7 +741,7 @@ class Gain:
     @property
     def log_evidence_difference(self) -> float:
         """Logarithm of the Bayes factor of the cause."""
-        return self.after.posterior.log_evidence - self.before.posterior.log_evidence
+        return self.after.log_evidence - self.before.log_evidence
 
     @property
     def shared_folds(self) -> tuple[Fold, ...]:
@@ -827,6 +829,7 @@ def _assess(
         in_sample=observations.rmse(errors),
         held_out=held_out(fitted.compared, observations, fitted.theta, folds),
         posterior=laplace(at, fitted.model.parameters, observations.noise.factor),
+        log_evidence=log_evidence(at, fitted.model.parameters, fitted.constrained.is_held),
     )
 
 
