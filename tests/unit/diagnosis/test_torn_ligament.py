@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identknee.checks.fit_checks import ligament_findings, ligament_loads
-from identknee.diagnosis.fitting import WIDER, fit_base
+from identknee.diagnosis.fitting import WIDER, fit_base, without_causes
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import load_protocol
@@ -61,11 +61,14 @@ def test_it_is_named_and_asked_for_no_strain() -> None:
     assert not [x for x in implausible_explanation(found) if x.code == "implausible-strain"]
 
 
-def test_only_the_prior_that_is_refuted_is_left_out_of_the_scores() -> None:
-    """Before its prior is widened; it is then no longer refuted."""
+def test_a_refuted_prior_is_neither_misfit_nor_scored() -> None:
+    """Before it is widened; it is then no longer refuted."""
     knee = reference_knee()
     fitted = fit_base(knee, torn().laxity, starts=[], seed=0)
     assert fitted is not None
+    base = without_causes(fitted)
+    assert base.misfit_p_value > 0.05
+    assert fitted.fitted.deviance - base.misfit_chi2 > 50.0
     left_out = np.flatnonzero(~fitted.fitted.is_scored) - fitted.fitted.n_data
     names = [fitted.fitted.model.parameters.names[i] for i in left_out]
     assert names == [f"{TORN}.{STIFFNESS}", f"{TORN}.{STRAIN}"]
