@@ -67,7 +67,7 @@ def muscle_tension(scene: Scene, generator: np.random.Generator) -> Hidden:
     def pulled(angles_deg: Array, force: float, lateral: float) -> Array:
         """Loads of a pull that leans forward by these angles, shape ``(n, 5)``."""
         ahead, up = force * np.sin(np.radians(angles_deg)), force * np.cos(np.radians(angles_deg))
-        return np.c_[-lateral * up, lateral * ahead, ahead, -up, 0.0 * up]
+        return np.asarray(np.c_[-lateral * up, lateral * ahead, ahead, -up, 0.0 * up])
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         quadriceps, hamstrings, gastrocnemius = amplitude * way

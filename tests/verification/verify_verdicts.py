@@ -10,9 +10,10 @@ import argparse
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,6 @@ from verify_blind import (
 )
 
 from identknee.blind.case import blind_case
-from identknee.runs.executors import process_pool
 
 KEPT = Path(tempfile.gettempdir()) / "identknee_verification" / "verdicts.jsonl"
 CONSTANT = ("shank_gravity", "compression", "muscle_tension")
@@ -76,7 +76,7 @@ def _compute(name: str, tasks: list[Made], workers: int) -> None:
     """Compute and keep the outcomes of a part that are not kept yet."""
     known = _known()
     keys = [f"{name}:{i}" for i in range(len(tasks))]
-    with process_pool(workers) as executor:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
         running = {
             executor.submit(task): key
             for key, task in zip(keys, tasks, strict=True)
@@ -232,15 +232,15 @@ def _has_both(x: Mapping[str, Any]) -> bool:
 
 
 def _is_exact(x: Mapping[str, Any]) -> bool:
-    return x["verdict"] == "NAMED" and set(x["effects"]) == set(x["causes"])
+    return bool(x["verdict"] == "NAMED" and set(x["effects"]) == set(x["causes"]))
 
 
 def _is_named(x: Mapping[str, Any]) -> bool:
-    return x["verdict"] == "NAMED"
+    return bool(x["verdict"] == "NAMED")
 
 
 def _is_many(x: Mapping[str, Any]) -> bool:
-    return x["verdict"] == "NAMED" and len(x["causes"]) > 2
+    return bool(x["verdict"] == "NAMED" and len(x["causes"]) > 2)
 
 
 def _is_in_group(x: Mapping[str, Any]) -> bool:
@@ -248,4 +248,4 @@ def _is_in_group(x: Mapping[str, Any]) -> bool:
 
 
 def _is_right(x: Mapping[str, Any]) -> bool:
-    return x["verdict"] == "NAMED" and bool(x["correct"])
+    return bool(x["verdict"] == "NAMED" and x["correct"])

@@ -90,9 +90,11 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
         left_out |= NEEDS_PHASE
     if anatomy(knee).medial_collateral is None:
         left_out.add(WRAPPING)
-    named = {name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out}
+    named: dict[str, tuple[Effect, ...]] = {
+        name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out
+    }
     if knee.groups:
-        named |= {BUNDLES: bundles_of_each(knee)}
+        named[BUNDLES] = bundles_of_each(knee)
     return tuple(effect for each in named.values() for effect in each)
 
 

@@ -341,10 +341,11 @@ def test_an_effect_of_many_amplitudes_wins_by_evidence_alone(evidence: float, wi
     simple = Made(names=("a",), misfit_chi2=50.0, log_evidence=20.0)
     many: Any = many_amplitudes(evidence)
     sets = _Sets(Made(), N_EFFECTS)  # type: ignore[arg-type]
-    sets.add([simple, many])  # type: ignore[list-item]
+    both: Any = [simple, many]
+    sets.add(both)
     best: Any = sets.best
     assert best is simple
-    sets.let_flexible_win([simple, many])  # type: ignore[list-item]
+    sets.let_flexible_win(both)
     assert (sets.best is many) is wins
     assert {x.names for x in sets.others} == {("a",) if wins else ("many",)}
 

@@ -71,7 +71,7 @@ def test_a_line_may_lie_further_to_one_side_and_lean(reference: Knee) -> None:
 
     def found(**values: float) -> Array:
         theta = model.parameters.vector({f"muscle_tension.{x}": y for x, y in values.items()})
-        return model.setting(theta).loads[model.paths.trial_node][0]
+        return np.asarray(model.setting(theta).loads[model.paths.trial_node][0])
 
     plain = found(hamstrings_N=FORCE_N)
     aside = found(hamstrings_N=FORCE_N, hamstrings_lateral_mm=4.0)
