@@ -52,8 +52,8 @@ def test_one_ligament_does_what_all_do_with_the_others_as_they_are(bundled: Knee
     # Both cruciate lines are split, and no other moves.
     plain = LaxityModel(knee=bundled, protocol=PROTOCOL)
     moved = np.abs(found.lines.femoral[:14] - plain.setting(plain.parameters.center).lines.femoral)
-    names = np.array([x.name for x in bundled.ligaments])
-    split = tuple(names[np.asarray(moved.any(axis=1))].tolist())
+    lines = np.array([x.name for x in bundled.ligaments])
+    split = tuple(lines[np.asarray(moved.any(axis=1))].tolist())
     assert split == next(x.members for x in bundled.groups if x.name == "PCL")
 
 
