@@ -305,7 +305,7 @@ class CandidateCauses:
         variant = self.typical(effect.name)
         if variant is None:
             name = effect.parameters.names[0]
-            detectable, power = float("inf"), LEVEL
+            detectable, power = float("nan"), LEVEL
         else:
             # The amplitude hardest to see, its detectable size, and the power at `relevant`.
             signature = self.projected(variant)
@@ -321,7 +321,7 @@ class CandidateCauses:
             place = int(variant.moved[least])
             if detectable > max(abs(p.lower[place]), abs(p.upper[place])):
                 # No knee has it so large.
-                detectable = float("inf")
+                detectable = float("nan")
             power = detection_power(self.test, signature, amplitude)
         return Detectability(
             name=effect.name,
