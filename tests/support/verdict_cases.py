@@ -10,7 +10,12 @@ from identknee.blind.case import CORRELATION, SD, BlindCase
 from identknee.blind.experiment import experiment_of, run_experiment, tensions
 from identknee.blind.rims import contact_stays_inside, rims_of
 from identknee.diagnosis.candidates import library_variants
-from identknee.diagnosis.fitting import fit_base
+from identknee.diagnosis.fitting import (
+    base_model,
+    best_fit_from,
+    fitted_with_nuisances,
+    stated_noise,
+)
 from identknee.diagnosis.investigation import investigate
 from identknee.diagnosis.score import project_signature
 from identknee.laxity.protocol import load_protocol
@@ -101,9 +106,12 @@ def distance_from_listed(subject: str, case: BlindCase) -> tuple[float, str]:
         sd=np.full(exact.coordinates.shape, SD),
         within_trial_correlation=CORRELATION,
     )
-    found = fit_base(own, exact, starts=[], seed=0)
-    assert found is not None
-    fitted = found.fitted
+    # The scatter of exact data would say that there is no noise.
+    model = base_model(own, exact.protocol).with_tests(exact)
+    n, start = model.n_ligament_parameters, np.array(model.parameters.center)
+    true = np.r_[[case.truth.theta[x] for x in model.parameters.names[:n]], start[n:]]
+    plain = best_fit_from(model, exact, stated_noise(exact), [start, true])
+    fitted = fitted_with_nuisances(plain, np.asarray(exact.sd), CORRELATION)
     left = fitted.projector.project(fitted.residual_rows())
     nearest = (float(left @ left), "none")
     listed = library(own, has_order=exact.order is not None, has_phase=exact.phase is not None)
