@@ -207,6 +207,7 @@ def row_of(found: Mapping[str, Outcomes]) -> Row:
         if own
     ]
     notes = [
+        *(f"{name}: {len(own)} of {len(PARTS[name]())} cases" for name, own in found.items()),
         *(verdicts_of(name, own) for name, own in known.items() if own and name != "distances"),
         *(told(x) for x in [*singles, *constant, *known["pairs"]] if x.get("wrong")),
         *(
