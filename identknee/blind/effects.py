@@ -20,6 +20,7 @@ LISTED: MappingProxyType[str, Draw] = MappingProxyType(
         "cartilage": structures.cartilage,
         "compression": rig.compression,
         "shank_gravity": rig.shank_gravity,
+        "muscle_tension": rig.muscle_tension,
         "moment_gain_IE": rig.moment_gain("IE"),
         "moment_gain_VV": rig.moment_gain("VV"),
         "moment_offset": rig.moment_offset,
@@ -43,6 +44,8 @@ UNLISTED: MappingProxyType[str, Draw] = MappingProxyType(
         "broad_strap": structures.broad_strap,
         "two_point_tether": structures.two_point_tether,
         "rotational_spring": structures.rotational_spring,
+        "constant_pull": rig.constant_pull,
+        "one_way_yield": rig.one_way_yield,
     }
 )
 # Effects that depend on when a trial was made and in which direction the load went.

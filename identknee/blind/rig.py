@@ -49,6 +49,71 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
     )
 
 
+def muscle_tension(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Three muscles pull with forces of fixed size; the amplitude is the length of all three.
+
+    The hamstrings draw the back of the tibia towards the hip, in a direction fixed to the femur.
+    The tendon of the quadriceps leans forward, less so with flexion. The gastrocnemius acts along
+    the tibia, through the heads of the femur.
+    """
+    way = np.abs(_unit(generator, 3))
+    lean, back, heel = generator.normal([20.0, 0.0, 3.0], [3.0, 3.0, 1.5])
+    slope = float(generator.normal(0.3, 0.04))
+    side = generator.normal([5.0, -7.0], 4.0) * scene.places.scale
+    (low, middle, _), _ = scene.places.plateaus
+    inner = np.array([low[0], middle[1] - 10.0, middle[2]])
+    towards_hip = np.array([-np.sin(np.radians(back)), np.cos(np.radians(back)), 0.0])
+
+    def pulled(angles_deg: Array, force: float, lateral: float) -> Array:
+        """Loads of a pull that leans forward by these angles, shape ``(n, 5)``."""
+        ahead, up = force * np.sin(np.radians(angles_deg)), force * np.cos(np.radians(angles_deg))
+        return np.asarray(np.c_[-lateral * up, lateral * ahead, ahead, -up, 0.0 * up])
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        quadriceps, hamstrings, gastrocnemius = amplitude * way
+        flexion = np.asarray(experiment.protocol.flexion_deg)
+        change = pulled(lean - slope * flexion, quadriceps, side[0])
+        change = change + pulled(np.full(len(flexion), heel), gastrocnemius, side[1])
+        rows = [
+            np.r_[share * hamstrings * towards_hip, place]
+            for share, place in ((2.0 / 3.0, inner), (1.0 / 3.0, scene.places.fibula))
+        ]
+        return replace(
+            experiment,
+            loads=experiment.loads + change,
+            preload=experiment.preload + change.mean(axis=0),
+            weights=np.vstack([experiment.weights, *rows]),
+        )
+
+    names = ("quadriceps_N", "hamstrings_N", "gastrocnemius_N")
+    shares = dict(zip(names, way.tolist(), strict=True))
+    return hidden("muscle_tension", ("N", 20.0, 200.0), apply, shares, n_numbers=3)
+
+
+def constant_pull(_scene: Scene, generator: np.random.Generator) -> Hidden:
+    """A cable pulls the shank to one side, beside its axis: no weight and no muscle does so."""
+    across = float(generator.choice([-1.0, 1.0]) * generator.uniform(0.6, 0.95))
+    angle = float(generator.uniform(0.0, 2.0 * np.pi))
+    rest = np.sqrt(1.0 - across**2)
+    way = np.array([rest * np.cos(angle), rest * np.sin(angle), across])
+    place = np.r_[generator.uniform(-30.0, 30.0), generator.uniform(-60.0, -10.0), 0.0]
+    place[2] = generator.uniform(-50.0, 50.0)
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        row = np.r_[amplitude * way, place]
+        return replace(experiment, weights=np.vstack([experiment.weights, row]))
+
+    return hidden("constant_pull", ("N", 5.0, 60.0), apply, {"force_N": 1.0})
+
+
+def one_way_yield(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """The rig gives way under one direction of the internal moment only."""
+    way = _sign(generator)
+    shape = way * np.maximum(way * scene.load_Nm[:, 0], 0.0)
+    size = ("deg/N·m", 0.05, 1.0)
+    return _reading_effect("one_way_yield", size, _at(INTERNAL_READING, shape), {"yield": 1.0})
+
+
 def moment_gain(axis: str) -> Draw:
     """Draw of a scale error of a moment, ``"IE"`` or ``"VV"``."""
     which = INTERNAL_MOMENT if axis == "IE" else VARUS_MOMENT

@@ -1,7 +1,7 @@
 """Checks of a fit: misfit, bounds, starts, forces that no knee has; and all checks in one pass."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -32,6 +32,7 @@ from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.runs.words import (
     amount,
@@ -317,7 +318,81 @@ FAILURE_PCT, STRAIN_SOURCE = 15.0, "Butler 1986, doi:10.1016/0021-9290(86)90019-
 # with so much more [N] and less than such a share on the other is none.
 APART_N, LEAST_SHARE = 400.0, 0.1
 CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2013.10.020"
+# A ligament with at most so much of the load that its prior would give it in the same poses carries
+# nothing, where that load is at least so large [N]: less no laxity test can tell.
+IDLE_SHARE, LEAST_LOAD_N = 0.05, 10.0
 VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
+
+
+@declared
+class LigamentLoad:
+    """The largest load of a ligament, its bundles together, beside that of its prior."""
+
+    name: str = entry("Name of the ligament or of its group")
+    members: tuple[str, ...] = entry("Names of its lines")
+    force_N: float = entry("Largest tension in any trial [N]")  # noqa: N815 - newton
+    prior_force_N: float = entry("The same at its prior, in the same poses [N]")  # noqa: N815
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it carries next to nothing, and by its prior would carry something."""
+        return (
+            self.prior_force_N >= LEAST_LOAD_N and self.force_N <= IDLE_SHARE * self.prior_force_N
+        )
+
+
+def ligament_loads(model: LaxityModel, prediction: Prediction) -> tuple[LigamentLoad, ...]:
+    """The load of every ligament in a prediction; none where no trial has an equilibrium."""
+    if not prediction.is_converged.any():
+        return ()
+    n = model.n_ligament_parameters
+    prior = np.r_[model.parameters.center[:n], prediction.theta[n:]]
+    member = np.asarray(model.tied.member)
+    own, expected = (
+        np.nanmax(tensions_of(model, x) @ member, axis=0)
+        for x in (prediction, replace(prediction, theta=prior))
+    )
+    names = [x.name for x in model.knee.ligaments]
+    return tuple(
+        LigamentLoad(
+            name=name,
+            members=tuple(np.array(names)[member[:, k] != 0.0].tolist()),
+            force_N=float(own[k]),
+            prior_force_N=float(expected[k]),
+        )
+        for k, name in enumerate(model.tied.names)
+    )
+
+
+def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
+    """Ligaments that carry nothing, and others far from their prior: no misfit of the model.
+
+    Their distance from the prior is that of stiffness and reference strain together; as improbable
+    as 3 standard deviations of one parameter, all ligaments counted.
+    """
+    p, found = model.parameters, list[Finding]()
+    n = model.tied.n
+    away = (p.to_working(prediction.theta) - p.to_working(p.center)) / p.prior_sd
+    for k, load in enumerate(ligament_loads(model, prediction)):
+        chance = float(chdtrc(2.0, away[k] ** 2 + away[n + k] ** 2))
+        if load.is_idle:
+            values: dict[str, object] = {
+                "ligament": load.name,
+                "force_N": load.force_N,
+                "prior_force_N": load.prior_force_N,
+            }
+            found.append(finding("ligament-idle", load.name, values))
+        elif chance * n < BEYOND_PRIOR:
+            values = {
+                "ligament": load.name,
+                "p_value": chance,
+                "stiffness_kN": prediction.theta[k],
+                "prior_stiffness_kN": p.center[k],
+                "strain_pct": prediction.theta[n + k],
+                "prior_strain_pct": p.center[n + k],
+            }
+            found.append(finding("ligament-beyond-prior", load.name, values))
+    return tuple(found)
 
 
 def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
@@ -363,9 +438,11 @@ def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iter
         share + TRANSITION_STRAIN,
         2.0 * np.sqrt(TRANSITION_STRAIN * share),
     )
+    # What carries nothing is not strained: that it is long, or absent, is another finding.
+    idle = {x for load in ligament_loads(model, prediction) if load.is_idle for x in load.members}
     for k, ligament in enumerate(model.knee.ligaments):
         own = 100.0 * strain[:, k]
-        if not np.isfinite(own).any() or np.nanmax(own) <= FAILURE_PCT:
+        if not np.isfinite(own).any() or np.nanmax(own) <= FAILURE_PCT or ligament.name in idle:
             continue
         worst = int(np.nanargmax(own))
         values = {

@@ -365,7 +365,11 @@ def protocol_isolability(
     present = {x.name for x in fitted.model.effects}
     tried = [x for x in library(knee) if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
-    variants = [x for x in [candidates.typical(x.name) for x in tried] if x is not None]
+    variants = [
+        x
+        for x in [candidates.typical(name) for name in {x.name: None for x in tried}]
+        if x is not None
+    ]
     projected = [candidates.projected(x) for x in variants]
     apart = least_favourable_distances(projected, ROOT, candidates.test.signatures)
     confused = groups(_mutual_distances(apart, [x for x in apart.effects if x != IMITATOR]))

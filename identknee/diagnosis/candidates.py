@@ -30,6 +30,7 @@ from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
+from identknee.model.effects.tissues import LigamentBundles
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -100,8 +101,8 @@ def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Varian
             continue
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
-        # Effects that share a name have a variant.
-        place = effect.variant if isinstance(effect, InsertionShift) else ""
+        # What tells effects of one name apart.
+        place = effect.variant if isinstance(effect, InsertionShift | LigamentBundles) else ""
         yield Variant(
             effect=effect,
             signature=Signature(
@@ -258,7 +259,7 @@ class Detectability:
     )
     unit: str = entry("Unit of the amplitude")
     detectable: float = entry(
-        "Size that the test finds in nine of ten data sets; null where it never does",
+        "Size that the test finds in nine of ten data sets; null where it finds no plausible one",
         unit="unit of the amplitude",
     )
     relevant: float = entry("The smallest size worth knowing", unit="unit of the amplitude")
@@ -304,7 +305,7 @@ class CandidateCauses:
         variant = self.typical(effect.name)
         if variant is None:
             name = effect.parameters.names[0]
-            detectable, power = float("inf"), LEVEL
+            detectable, power = float("nan"), LEVEL
         else:
             # The amplitude hardest to see, its detectable size, and the power at `relevant`.
             signature = self.projected(variant)
@@ -315,8 +316,12 @@ class CandidateCauses:
             least = min(alike, key=lambda k: signature.gram[k, k])
             amplitude = np.zeros(len(names))
             amplitude[least] = relevant * (signature.signature.sign[least] or 1)
-            name = names[least]
+            name, p = names[least], variant.effect.parameters
             detectable = detectable_amplitude(self.test, signature, least)
+            place = int(variant.moved[least])
+            if detectable > max(abs(p.lower[place]), abs(p.upper[place])):
+                # No knee has it so large.
+                detectable = float("nan")
             power = detection_power(self.test, signature, amplitude)
         return Detectability(
             name=effect.name,
@@ -346,7 +351,7 @@ def library_candidates(
     """Signatures of all effects at a fit, and the test of them for noise of unknown size."""
     variants = library_variants(fitted, effects)
     signatures = [x.signature for x in variants]
-    test = score_test(fitted.projector, signatures, seed=seed, scale="unknown")
+    test = score_test(fitted.scored_projector, signatures, seed=seed, scale="unknown")
     return CandidateCauses(variants=variants, test=test)
 
 
@@ -406,9 +411,9 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
         prior_sd=p.prior_sd,
         sign=np.zeros(p.n, np.int64),
     )
-    projector = fitted.projector
+    projector = fitted.scored_projector
     seen = project_signature(projector, signature)
-    left = projector.project(fitted.residual_rows())
+    left = projector.project(fitted.scored_rows)
     left *= np.sqrt(projector.degrees_of_freedom) / np.linalg.norm(left)
     if seen.z_score(seen.gain((left @ seen.projected)[None]))[0] < LEAST_SCORE:
         return None

@@ -5,10 +5,11 @@ from dataclasses import field, replace
 from enum import StrEnum
 
 import numpy as np
+from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.problem import Evaluation, Evaluator, ProblemWithPriors
-from identknee.checks.fit_checks import nuisance_findings
+from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
     Projector,
@@ -35,13 +36,13 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, StatedPrior
 
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
@@ -52,6 +53,8 @@ MOST_STEPS = 40
 # Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
 # to other minima.
 STRAIGHT_STEPS = 12
+# A prior that is refuted is so many times as wide; a share of the stiffness that carries nothing.
+WIDER, NEARLY_GONE = 10.0, 0.02
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -160,6 +163,54 @@ class FittedModel:
     def projector(self) -> Projector:
         """The projector off the fitted parameters."""
         return base_projector(self.evaluation.jacobian)
+
+    @property
+    def counts_as_misfit(self) -> BoolArray:
+        """Which rows say whether the model fits, shape ``(m + p,)``: all but ligaments' priors.
+
+        A ligament far from its prior is a finding about the knee, and no fault of the model.
+        """
+        counts = np.ones(len(self.evaluation.residuals), bool)
+        counts[self.n_data : self.n_data + self.model.n_ligament_parameters] = False
+        return counts
+
+    @property
+    def is_scored(self) -> BoolArray:
+        """Which rows causes are scored by, shape ``(m + p,)``: all but priors that are refuted.
+
+        That an effect brings ligaments back to their priors speaks for it, unless the data put
+        a ligament so far off that its prior says nothing of this knee.
+        """
+        scored, n = np.ones(len(self.evaluation.residuals), bool), self.model.tied.n
+        scored[self.n_data : self.n_data + 2 * n] = np.tile(~self.is_refuted, 2)
+        return scored
+
+    @property
+    def is_refuted(self) -> BoolArray:
+        """Of which ligaments the data refute the prior, shape ``(u,)``; groups count as one."""
+        n = self.model.tied.n
+        away = self.evaluation.residuals[self.n_data : self.n_data + 2 * n].reshape(2, n)
+        return np.asarray(n * chdtrc(2.0, (away**2).sum(axis=0)) < BEYOND_PRIOR)
+
+    @property
+    def scored_rows(self) -> Array:
+        """Measured less predicted, whitened, then the priors that causes are scored by."""
+        return self.residual_rows()[self.is_scored]
+
+    @property
+    def scored_projector(self) -> Projector:
+        """The projector off the fitted parameters in those rows."""
+        return base_projector(self.evaluation.jacobian[self.is_scored])
+
+    @property
+    def misfit_rows(self) -> Array:
+        """Measured less predicted, whitened, then the priors of nuisances and of causes."""
+        return self.residual_rows()[self.counts_as_misfit]
+
+    @property
+    def misfit_projector(self) -> Projector:
+        """The projector off the fitted parameters in those rows, ligaments without a prior."""
+        return base_projector(self.evaluation.jacobian[self.counts_as_misfit])
 
     def columns(self, changes: Array) -> Array:
         """Changes of the coordinates (n, 5, k), whitened, shape ``(m, k)``."""
@@ -293,6 +344,37 @@ class BaseFit:
     noise: DataNoise = entry("Errors of the data without nuisances")
 
 
+def without_idle_priors(base: BaseFit) -> BaseFit:
+    """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
+
+    What its prior says of it is not true of this knee: a torn ligament has no stiffness, and how
+    long a slack one is, no data tell. Where its prior still pulled, it would carry a little that
+    another effect could take away, and every effect that gives it a load would gain evidence.
+    """
+    fitted = base.fitted
+    model = fitted.model
+    loads = ligament_loads(model, model.predict_once(fitted.theta))
+    idle = [
+        name
+        for name, load, is_refuted in zip(model.tied.names, loads, fitted.is_refuted, strict=True)
+        if load.is_idle and is_refuted
+    ]
+    if not idle:
+        return base
+    p, priors, gone = model.parameters, dict(model.knee.priors), np.array(fitted.theta)
+    for owner in idle:
+        stiffness, strain = (p.index(f"{owner}.{x}") for x in (STIFFNESS, STRAIN))
+        gone[stiffness], gone[strain] = NEARLY_GONE * p.center[stiffness], p.center[strain]
+        for i in (stiffness, strain):
+            what = "log_sd" if p.is_log[i] else "sd"
+            wide = {what: WIDER * float(p.prior_sd[i]), "center": float(p.center[i])}
+            priors[p.names[i]] = StatedPrior(**wide)
+    free = base_model(replace(model.knee, priors=priors), fitted.laxity.protocol)
+    starts = [fitted.theta, gone]
+    found = best_fit_from(free.with_tests(fitted.laxity), fitted.laxity, fitted.noise, starts)
+    return BaseFit(fitted=found, noise=base.noise) if found.evaluation.is_finite else base
+
+
 def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:
     """The fit to trials of low loads, shape ``(p,)``: a way past parameters where the knee jumps.
 
@@ -353,10 +435,18 @@ class Refit:
         return self.fitted.model.parameters.n - sum(x.parameters.n for x in self.causes)
 
     @property
-    def penalised_chi2(self) -> float:
-        """Misfit of the data and how far the base parameters left their prior, as a chi-square."""
-        rows = self.fitted.evaluation.residuals[: self.fitted.n_data + self.n_base]
-        return float(rows @ rows)
+    def misfit_chi2(self) -> float:
+        """Chi-square of the data and of the priors of nuisances and causes; inf without a fit.
+
+        It is what would be left if ligaments were free of their priors. What a fit that ended
+        before its minimum might still gain is added: it must not seem better than it is.
+        """
+        if not self.fitted.evaluation.is_finite:
+            return np.inf
+        left = self.fitted.misfit_projector.project(self.fitted.misfit_rows)
+        rows = self.fitted.residual_rows()
+        unfinished = rows - self.fitted.projector.project(rows)
+        return float(left @ left + unfinished @ unfinished)
 
     @property
     def misfit_p_value(self) -> float:
@@ -367,9 +457,9 @@ class Refit:
         """Probability of so much misfit if noise were `factor` times as large; 0 unpredicted."""
         if not self.fitted.evaluation.is_finite:
             return 0.0
-        rows, projector = self.fitted.residual_rows() / factor, self.fitted.projector
-        # Not projected: a fit that ended before its minimum must not seem better than it is.
-        whole = chi2_or_f_test(float(rows @ rows), projector.degrees_of_freedom, self.noise_degrees)
+        rows, projector = self.fitted.misfit_rows / factor, self.fitted.misfit_projector
+        square = self.misfit_chi2 / factor**2
+        whole = chi2_or_f_test(square, projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])

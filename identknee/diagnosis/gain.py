@@ -13,7 +13,7 @@ from identknee.calibrate.problem import Evaluation, Evaluator, Problem, ProblemW
 from identknee.diagnosis.fitting import FittedModel, whitened_problem
 from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.identify.laplace import Interval, Laplace, laplace
+from identknee.identify.laplace import Interval, Laplace, laplace, log_evidence
 from identknee.laxity.protocol import (
     ABSOLUTE,
     DIRECTIONS,
@@ -672,12 +672,14 @@ class Assessment:
     """Misfit, evidence and held-out prediction of one model."""
 
     check: ResidualTest = entry(
-        "Chi-square of data and priors together, its degrees of freedom and its probability"
+        "Chi-square of the data and of the priors of nuisances and causes, its degrees of freedom "
+        "and its probability"
     )
     errors: Array = array("Measured less predicted values", "value", unit="mm or deg")
     in_sample: Rmse = entry("Their root mean squares")
     held_out: CrossValidation = entry("Prediction of trials it was not fitted to")
-    posterior: Laplace = entry("Intervals of its parameters and its evidence")
+    posterior: Laplace = entry("Intervals of its parameters")
+    log_evidence: float = entry("Log evidence by which causes are ranked, up to a constant")
 
 
 @declared
@@ -743,7 +745,7 @@ class Gain:
     @property
     def log_evidence_difference(self) -> float:
         """Logarithm of the Bayes factor of the cause."""
-        return self.after.posterior.log_evidence - self.before.posterior.log_evidence
+        return self.after.log_evidence - self.before.log_evidence
 
     @property
     def shared_folds(self) -> tuple[Fold, ...]:
@@ -863,15 +865,16 @@ def _assess(
         at = evaluate(
             whitened_problem(fitted.model, fitted.laxity, observations.noise), fitted.theta
         )
-    errors = -fitted.compared.residuals(fitted.theta)
+    errors, counts = -fitted.compared.residuals(fitted.theta), fitted.counts_as_misfit
     return Assessment(
         check=omnibus_check(
-            -at.residuals, base_projector(at.jacobian), noise_degrees=noise_degrees
+            -at.residuals[counts], base_projector(at.jacobian[counts]), noise_degrees=noise_degrees
         ),
         errors=errors,
         in_sample=observations.rmse(errors),
         held_out=held,
         posterior=laplace(at, fitted.model.parameters, observations.noise.scale),
+        log_evidence=log_evidence(at, fitted.model.parameters, fitted.constrained.is_held),
     )
 
 

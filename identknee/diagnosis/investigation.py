@@ -6,12 +6,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from identknee.calibrate.fit import load_start
-from identknee.checks.fit_checks import bound_findings, parameters_at_zero
+from identknee.checks.fit_checks import (
+    bound_findings,
+    ligament_findings,
+    parameters_at_zero,
+)
 from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.data_noise import DataNoise
-from identknee.diagnosis.fitting import BaseFit, Refit, best_fit_from, fit_base, without_causes
+from identknee.diagnosis.fitting import (
+    BaseFit,
+    Refit,
+    best_fit_from,
+    fit_base,
+    without_causes,
+    without_idle_priors,
+)
 from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
@@ -65,6 +76,8 @@ class Investigation:
 
     Attributes
     ----------
+    knee
+        The subject.
     laxity
         The data.
     noise
@@ -85,6 +98,7 @@ class Investigation:
         Seed of the distributions under no effect.
     """
 
+    knee: Knee
     laxity: Laxity
     noise: DataNoise
     base: Refit
@@ -115,7 +129,8 @@ class Investigation:
     @cached_property
     def extended_knee(self) -> Knee:
         """The subject with the causes found, for every other calculation."""
-        return self.explanation.extended_knee
+        # With its own priors, also of a ligament that carries nothing.
+        return replace(self.explanation.extended_knee, priors=self.knee.priors)
 
     @cached_property
     def gain(self) -> Gain | None:
@@ -139,7 +154,8 @@ class Investigation:
         first, *others = self.attribution.steps
         beside = next((x for x in others if x.at is self.explanation), first)
         joined = self.explanation.names
-        steps = ((first if x.name in joined else beside, x) for x in self._library())
+        named = {x.name: x for x in self._library()}.values()
+        steps = ((first if x.name in joined else beside, x) for x in named)
         return tuple(step.exclusion(effect, step.scores) for step, effect in steps)
 
     @cached_property
@@ -172,6 +188,8 @@ class Investigation:
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         held = (*parameters.nuisance_names, *absent)
         findings += bound_findings(fitted.theta, parameters, held)
+        found = fitted.model.predict_once(fitted.theta)
+        findings += ligament_findings(fitted.model, found)
         findings += fitted.nuisance_findings
         findings += [
             finding(
@@ -226,17 +244,19 @@ def investigate(
         effects = [x for x in _library(knee, laxity) if x.name not in present]
     with stage("fitting the knee"):
         base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
-    if base_fit is None or not base_fit.fitted.evaluation.is_finite:
-        return None
+        if base_fit is None or not base_fit.fitted.evaluation.is_finite:
+            return None
+        base_fit = without_idle_priors(base_fit)
     attribution, p_value = _explained(base_fit, effects, seed)
     if (start := better_start(attribution)) is not None:
-        base_fit = fit_base(knee, laxity, starts=[*begin, start], seed=seed) or base_fit
+        again = fit_base(knee, laxity, starts=[*begin, start], seed=seed)
+        base_fit = base_fit if again is None else without_idle_priors(again)
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
     fitted = base.fitted
     localised = localise(
-        fitted.residual_rows(), fitted.projector, fitted.noise, trial_layout(laxity), seed=seed
+        fitted.misfit_rows, fitted.misfit_projector, fitted.noise, trial_layout(laxity), seed=seed
     )
     advice = line = None
     if conclusion.verdict is Verdict.AMBIGUOUS:
@@ -246,6 +266,7 @@ def investigate(
     if conclusion.verdict is Verdict.UNEXPLAINED:
         line = find_line(base, seed=seed)
     return Investigation(
+        knee=knee,
         laxity=laxity,
         noise=noise,
         base=base,

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import reduce
+from math import comb, log
 
 import numpy as np
 from scipy.special import ndtri
@@ -33,10 +34,16 @@ from identknee.runs.progress import counted, progress, progress_bar, stage
 from identknee.runs.record import Outcome
 
 MOST_CAUSES = 3
-# Log evidence that a cause must gain to join, and to stay when another could do without it.
-LEAST_GAIN = 2.0
-# Fall of the penalised chi-square that the largest of a library of scores reaches by chance.
+# Log evidence that a first cause must gain, and that a larger set must gain over a smaller one.
+LEAST_GAIN, FURTHER_GAIN = 2.0, 5.0
+# Fall of the chi-square that the largest of a library of scores reaches by chance.
 LEAST_FALL, FURTHER_FALL = 9.0, 16.0
+# Single causes that are swapped into a set which is about to win, and refitted alone from there.
+MOST_SWAPPED, MOST_ALONE = 4, 2
+# Looks at what is left: the search may come back to smaller sets, but not for ever.
+MOST_LOOKS = 6
+# More causes than these together stand in for something that no library lists.
+MOST_NAMED = 2
 # What the highest score may be by chance for a first cause, and for one more: a cause found shifts
 # what is left, and its own model is only nearly right.
 FURTHER_LEVEL = 0.01
@@ -111,11 +118,12 @@ class Attribution:
 def attribute(
     base: Refit, effects: Sequence[Effect], *, seed: int, is_forced: bool = False
 ) -> Attribution:
-    """The explanation of what a fit leaves: forward steps, then a look back and at swaps.
+    """The explanation of what a fit leaves, by a search of sets of causes.
 
-    At each step the effects that score highest join the model in turn; the one with most evidence
-    stays. It ends when no further effect scores higher than chance allows, when none gains
-    evidence or at three causes.
+    At each step the effects that score highest join the best set in turn. Before a larger set wins,
+    it is looked back from it: each of its causes is left out or swapped, and each single cause
+    refitted, all from where the larger set ended. It ends when no further effect scores higher than
+    chance allows, when no larger set is worth its causes, or at three.
 
     Parameters
     ----------
@@ -128,81 +136,129 @@ def attribute(
     is_forced
         Whether to try a first cause although none scores high: where other tests found a misfit.
     """
-    current, steps = base, [score_candidates(base, effects, seed)]
-    rest: tuple[Refit, ...] = ()
-    while len(current.causes) < MOST_CAUSES:
-        step = steps[-1]
+    sets, steps = _Sets(base, len(effects)), [score_candidates(base, effects, seed)]
+    while len(sets.best.causes) < MOST_CAUSES and len(steps) < MOST_LOOKS:
+        step, current = steps[-1], sets.best
         if not (step.is_significant or (is_forced and not current.causes)):
             break
         step = replace(step, refits=refit_top_candidates(step, base))
         steps[-1] = step
-        simple = [x for x in step.refits if not is_flexible(x.causes[-1])]
-        if not simple or not _is_better(simple[0], current):
+        sets.add(step.refits)
+        sets.look_back(steps[0].refits)
+        left = [x for x in effects if x.name not in sets.best.names]
+        if not left or any(x.at is sets.best for x in steps):
             break
-        current, rest = simple[0], step.refits
-        left = [x for x in effects if x.name not in current.names]
-        if not left:
-            break
-        steps.append(score_candidates(current, left, seed))
-    current, rest = backward_elimination(base, current, rest, steps)
-    current, rest = _with_flexible_effects(current, rest, steps[0])
-    left = [x for x in effects if x.name not in current.names]
-    if left and steps[-1].at is not current:
-        steps.append(score_candidates(current, left, seed))
-    rivals = rivals_of(current, rest, [(x.at, x.scores) for x in steps])
-    return Attribution(steps=tuple(steps), best=current, rivals=rivals)
+        steps.append(score_candidates(sets.best, left, seed))
+    sets.let_flexible_win(steps[0].refits)
+    best = sets.best
+    left = [x for x in effects if x.name not in best.names]
+    if left and steps[-1].at is not best:
+        steps.append(score_candidates(best, left, seed))
+    rivals = rivals_of(best, sets.others, [(x.at, x.scores) for x in steps])
+    return Attribution(steps=tuple(steps), best=best, rivals=rivals)
 
 
 def score_candidates(at: Refit, effects: Sequence[Effect], seed: int) -> AttributionStep:
     """The scores of effects at a fit, before any refit."""
     with stage("scoring causes"):
         found = library_candidates(at.fitted, effects, seed=seed)
-        scores = found.test.evaluate(at.fitted.residual_rows())
+        scores = found.test.evaluate(at.fitted.scored_rows)
     return AttributionStep(
         at=at, variants=found.variants, test=found.test, scores=scores, refits=()
     )
 
 
-def _is_better(new: Refit, old: Refit) -> bool:
-    """Whether `new` is worth its causes: the data must say so, and the prior not forbid it."""
-    fall = old.penalised_chi2 - new.penalised_chi2
-    least = FURTHER_FALL if old.causes else LEAST_FALL
-    return fall > least and new.log_evidence > old.log_evidence + LEAST_GAIN
+class _Sets:
+    """The sets of causes refitted so far, each with its best fit, and the set that wins.
+
+    Parameters
+    ----------
+    base
+        The fit without causes.
+    n_effects
+        How many candidates there are: of a larger size there are more sets, one of which wins by
+        chance.
+    """
+
+    def __init__(self, base: Refit, n_effects: int) -> None:
+        self._base, self._n_effects = base, n_effects
+        self._found: dict[frozenset[str], Refit] = {}
+        self._seen: set[frozenset[str]] = set()
+        self.best = base
+
+    def add(self, refits: Sequence[Refit]) -> None:
+        """Keep refits, each set with that of the highest evidence, and let the best one win."""
+        for x in refits:
+            key = frozenset(x.names)
+            if key not in self._found or x.log_evidence > self._found[key].log_evidence:
+                self._found[key] = x
+        self.best = self._base
+        for size in range(1, MOST_CAUSES + 1):
+            own = [x for x in self._simple if len(x.causes) == size]
+            top = max(own, key=lambda x: x.log_evidence, default=self._base)
+            if is_better(top, self.best, self._n_effects):
+                self.best = top
+
+    def look_back(self, singles: Sequence[Refit]) -> None:
+        """Refit what is simpler than the winner, or as simple, from where that ended.
+
+        Parameters
+        ----------
+        singles
+            Refits of single causes, the highest evidence first.
+        """
+        while len(self.best.causes) > 1 and frozenset(self.best.names) not in self._seen:
+            winner = self.best
+            self._seen.add(frozenset(winner.names))
+            others = [x for x in singles if not is_flexible(x.causes[0])]
+            others = [x for x in others if x.names[0] not in winner.names][:MOST_SWAPPED]
+            # Of a pair, each is alone when the other is left out.
+            own = [x for x in singles if x.names[0] in winner.names and len(winner.causes) > 2]
+            found = [_alone(self._base, winner, x) for x in own + others[:MOST_ALONE]]
+            for name in winner.names:
+                found.append(_without(self._base, winner, name))
+                found += [_swapped(self._base, winner, name, x) for x in others]
+            self.add(found)
+
+    def let_flexible_win(self, singles: Sequence[Refit]) -> None:
+        """Let effects that fit almost anything win, by evidence alone, in the end only."""
+        flexible = [x for x in singles if is_flexible(x.causes[-1])]
+        best = max([self.best, *flexible], key=lambda x: x.log_evidence)
+        if best is not self.best and is_better(best, self._base, self._n_effects):
+            self.best = best
+
+    @property
+    def others(self) -> tuple[Refit, ...]:
+        """The sets that are no larger than the winner: others are not worth their causes."""
+        most = max(len(self.best.causes), 1)
+        found = (x for x in self._found.values() if len(x.causes) <= most)
+        return tuple(x for x in found if x is not self.best and x.causes)
+
+    @property
+    def _simple(self) -> list[Refit]:
+        return [x for x in self._found.values() if not any(map(is_flexible, x.causes))]
 
 
-def backward_elimination(
-    base: Refit, current: Refit, rest: tuple[Refit, ...], steps: Sequence[AttributionStep]
-) -> tuple[Refit, tuple[Refit, ...]]:
-    """The explanation after leaving out and swapping single causes, and its alternatives."""
-    if len(current.causes) < 2:
-        return current, rest
-    alternatives = list(rest)
-    for cause in current.causes:
-        alternatives.append(_without(base, current, cause.name))
-        others = [
-            x
-            for x in steps[0].refits
-            if x.names[0] not in current.names and not is_flexible(x.causes[0])
-        ]
-        alternatives += [_swapped(base, current, cause.name, x) for x in others[:4]]
-    best = max([current, *alternatives], key=lambda x: x.log_evidence)
-    if best is current or not _is_better(best, current):
-        simpler = [x for x in alternatives if len(x.causes) < len(current.causes)]
-        enough = [x for x in simpler if not _is_better(current, x)]
-        best = max(enough, key=lambda x: x.log_evidence) if enough else current
-    return best, tuple(x for x in (current, *alternatives) if x is not best)
+def is_better(new: Refit, old: Refit, n_effects: int) -> bool:
+    """Whether `new` is worth its causes: the data must say so, and the prior not forbid it.
+
+    A set of several causes must win by a factor of e^5 over a smaller one, after the number of sets
+    of either size is paid for.
+    """
+    fall = old.misfit_chi2 - new.misfit_chi2
+    size, smaller = len(new.causes), len(old.causes)
+    if size < 2:
+        return fall > LEAST_FALL and new.log_evidence > old.log_evidence + LEAST_GAIN
+    paid = log(comb(n_effects, size) / comb(n_effects, smaller))
+    return fall > FURTHER_FALL and new.log_evidence > old.log_evidence + FURTHER_GAIN + paid
 
 
-def _with_flexible_effects(
-    current: Refit, rest: tuple[Refit, ...], first: AttributionStep
-) -> tuple[Refit, tuple[Refit, ...]]:
-    """The explanation beside effects that fit almost anything, which win by evidence alone."""
-    flexible = [x for x in first.refits if is_flexible(x.causes[-1])]
-    rest = (*(rest or first.refits), *(x for x in flexible if rest and x not in rest))
-    best = max([current, *flexible], key=lambda x: x.log_evidence)
-    if best is current or not _is_better(best, first.at):
-        return current, rest
-    return best, tuple(x for x in (current, *rest) if x is not best and x.causes)
+def _alone(base: Refit, current: Refit, single: Refit) -> Refit:
+    """A single cause, refitted from where a larger set ended."""
+    (cause,) = single.causes
+    at = current if cause.name in current.names else single
+    theta = current.fitted.theta[: base.n_base]
+    return refit(base, [cause], [np.r_[theta, at.amplitudes(cause.name)]], beside=[single])
 
 
 def _without(base: Refit, current: Refit, name: str) -> Refit:
@@ -437,6 +493,11 @@ def conclude(attribution: Attribution, p_value: float) -> Conclusion:
         faults = []
         if fits <= HARDLY_FITS:
             faults.append(f"With {names} the misfit is still improbable ({_p_words(fits)}).")
+        if len(best.causes) > MOST_NAMED:
+            faults.append(
+                f"No two known causes explain it. Together {names} would, but so many may stand in "
+                "for something that the library does not list: see the missing wrench."
+            )
         faults += [
             f"The {cause_label(name)} would need an amplitude at the limit of its plausible range."
             for name in best.names

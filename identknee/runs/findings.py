@@ -323,6 +323,28 @@ _ALL = (
         "{n_trials} trials, which is contact on one side only ({source})",
     ),
     FindingKind(
+        code="ligament-idle",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="A ligament carries next to nothing, and by its prior it would carry a load in the "
+        "same poses.",
+        remedy="Do not quote its stiffness or its reference strain: look whether it is torn or "
+        "absent. A torn, a slack and an absent one fit alike.",
+        template="The {ligament} carries nothing in these trials (at most {force_N:.0f} N, by its "
+        "prior {prior_force_N:.0f} N in the same poses): torn, slack or absent predict the same.",
+    ),
+    FindingKind(
+        code="ligament-beyond-prior",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="The data put a ligament that carries load far from its prior. That alone is no "
+        "misfit.",
+        remedy="Check what the prior rests on, and whether this knee was injured or operated on.",
+        template="The data put the {ligament} far from its prior (p = {p_value:.2g}): "
+        "{stiffness_kN:.2g} kN where {prior_stiffness_kN:.2g} kN was expected, and "
+        "{strain_pct:.1f} % reference strain where {prior_strain_pct:.1f} % was.",
+    ),
+    FindingKind(
         code="nuisance-beyond-prior",
         severity=WARNING,
         about=About.MODEL,

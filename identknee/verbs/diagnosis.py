@@ -831,7 +831,7 @@ def _added_variable(found: Investigation) -> AddedVariable:
         variant=candidate.variant,
         score=candidate.score,
         expected=(signature.projected @ candidate.amplitude)[: fitted.n_data],
-        left=step.test.projector.project(fitted.residual_rows())[: fitted.n_data],
+        left=step.test.projector.project(fitted.scored_rows)[: fitted.n_data],
         flexion_deg=flexion[measured],
     )
 

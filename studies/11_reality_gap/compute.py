@@ -188,7 +188,7 @@ def base_facts(found: ik.diagnosis.Investigation) -> Row:
     return {
         "outcome": fitted.outcome.value,
         "chi_square": fitted.misfit,
-        "strain": found.base.penalised_chi2,
+        "strain": found.base.misfit_chi2,
         "errors": by_row(found.laxity, fitted.compared.differences(fitted.theta)),
         "parameters": fitted.model.parameters.names,
         "theta": fitted.theta,

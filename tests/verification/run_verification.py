@@ -32,6 +32,7 @@ MODULES = {
     "rows": "verify_rows",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
+    "verdicts": "verify_verdicts",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }

@@ -140,6 +140,14 @@ _ALL = (
         relevant=4.0,
     ),
     EffectFacts(
+        name="muscle_tension",
+        label="muscle tension",
+        sentence="Muscles pulled in all trials, as they do in a person who is not quite relaxed.",
+        source=f"0 to 150 N of muscle tone in each, {_ESTIMATE}; lines of action (Herzog 1993, "
+        "J. Anat. 182, 213)",
+        relevant=15.0,
+    ),
+    EffectFacts(
         name="moment_gain_IE",
         label="scale error of the internal moment",
         sentence="The internal and external moments were larger or smaller than stated.",

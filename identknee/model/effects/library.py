@@ -16,6 +16,7 @@ from identknee.model.effects.loads import (
     parasitic_shear,
     shank_gravity,
 )
+from identknee.model.effects.muscles import muscle_tension
 from identknee.model.effects.readings import (
     Remounting,
     creep,
@@ -34,9 +35,12 @@ from identknee.model.effects.structures import (
     structure,
 )
 from identknee.model.effects.tissues import (
+    BUNDLES,
     WRAPPING,
     Cartilage,
+    LigamentBundles,
     bundles,
+    bundles_of_each,
     contact_nuisance,
     mcl_wrapping,
     meniscus,
@@ -56,7 +60,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     """All causes that can be tried on a subject, in the order of `FACTS`.
 
     Wrapping of the medial collateral ligament is left out where the subject has no such line, and
-    so is a structure where a ligament of the subject is called like it.
+    so is a structure where a ligament of the subject is called like it. Where the subject's lines
+    are bundles already, those of each ligament are a cause of their own, all of one name.
 
     Parameters
     ----------
@@ -85,7 +90,12 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
         left_out |= NEEDS_PHASE
     if anatomy(knee).medial_collateral is None:
         left_out.add(WRAPPING)
-    return tuple(effect_named(knee, x) for x in _MAKERS if x not in left_out)
+    named: dict[str, tuple[Effect, ...]] = {
+        name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out
+    }
+    if knee.groups:
+        named[BUNDLES] = bundles_of_each(knee)
+    return tuple(effect for each in named.values() for effect in each)
 
 
 def effect_named(knee: Knee, name: str) -> Effect:
@@ -117,13 +127,14 @@ def _make_on_any_subject(make: Callable[[], Effect]) -> Maker:
 
 _BY_NAME: dict[str, Maker] = {
     **{name: partial(_make_structure, name) for name in STIFFNESS_SD},
-    "bundles": bundles,
+    BUNDLES: bundles,
     WRAPPING: mcl_wrapping,
     "meniscus": meniscus,
     "toe_strain": _make_on_any_subject(toe_strain),
     "cartilage": _make_on_any_subject(Cartilage),
     "compression": _make_on_any_subject(compression),
     "shank_gravity": _make_on_any_subject(shank_gravity),
+    "muscle_tension": muscle_tension,
     "moment_gain_IE": _make_on_any_subject(partial(moment_gain, "IE")),
     "moment_gain_VV": _make_on_any_subject(partial(moment_gain, "VV")),
     "moment_offset": _make_on_any_subject(moment_offset),
@@ -199,6 +210,11 @@ def choice_of(
         if own.name == effect.name:
             both = tuple(dict.fromkeys([*own.fixed, *fixed]))
             return replace(own, values={**own.values, **values}, fixed=both)
+    if isinstance(effect, LigamentBundles):
+        # The other ligaments stay as they are.
+        rest = {x.removeprefix(f"{effect.name}."): 0.0 for x in effect.whole.parameters.names}
+        fixed = (*fixed, *(x for x in rest if x not in values))
+        values = {**rest, **values}
     plain = EffectChoice(name=effect.name, values=values, fixed=tuple(fixed))
     if not isinstance(effect, MissingStructure | PosteriorCapsule):
         return plain

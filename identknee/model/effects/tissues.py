@@ -15,7 +15,7 @@ from identknee.model.effects.effect import (
 from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
@@ -118,6 +118,7 @@ def meniscus(knee: Knee) -> Meniscus:
     )
 
 
+BUNDLES = "bundles"
 SPREAD_SD, SPREAD_LIMIT = 5.0, 30.0  # %
 PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
@@ -130,43 +131,97 @@ def bundles(knee: Knee) -> ReplicaInputsChange:
     the second as much less and to the other side. Reference lengths are those between the bundles'
     own insertions in the scanned pose. Bundles of published models differ by 4 % (anterior
     cruciate) to 21 % (posterior cruciate) and 33 % (lateral collateral) [1]_; distances of 4 mm are
-    an estimate. Without a spread in strain nothing changes to first order in either.
+    an estimate. Without a spread in strain nothing changes to first order in either. All lines of a
+    group are split alike: its amplitudes are those of the ligament.
 
     References
     ----------
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
-    strains = [f"{x.name}_strain_spread_pct" for x in knee.ligaments]
+    group_of = {member: group.name for group in knee.groups for member in group.members}
+    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    ligaments = list(dict.fromkeys(owners))
+    strains = [f"{x}_strain_spread_pct" for x in ligaments]
     places = [
-        f"{ligament.name}_{bone}_{axis}_spread_mm"
-        for ligament in knee.ligaments
+        f"{ligament}_{bone}_{axis}_spread_mm"
+        for ligament in ligaments
         for bone in BONES
         for axis in AXES
     ]
     n, m = len(strains), len(places)
     made = amplitudes(
-        "bundles",
+        BUNDLES,
         strains + places,
         n * [SPREAD_SD] + m * [PLACE_SD],
         lower=n * [0.0] + m * [-PLACE_LIMIT],
         upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
     )
-    return ReplicaInputsChange(name="bundles", parameters=made, changed=_split)
+    changed = partial(_split, np.array([ligaments.index(x) for x in owners]))
+    return ReplicaInputsChange(name=BUNDLES, parameters=made, changed=changed)
 
 
-def _split(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+@declared
+class LigamentBundles:
+    """Bundles of one ligament of a knee, the other ligaments as they are."""
+
+    ligament: str = entry("Name of the ligament, or of the group of its lines")
+    whole: ReplicaInputsChange = entry("The effect on all ligaments")
+    moved: IntArray = entry("Where its amplitudes stand among those of all ligaments")
+    parameters: Parameters = entry("Its amplitudes")
+
+    @property
+    def name(self) -> str:
+        """Name of the cause, the same for every ligament."""
+        return self.whole.name
+
+    @property
+    def variant(self) -> str:
+        """Which ligament it is."""
+        return self.ligament
+
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+        """The inputs with the effect."""
+        return self.whole.change(setting, self._expanded(values))
+
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
+        return self.whole.change_copies(setting, self._expanded(values))
+
+    def _expanded(self, values: Array) -> Array:
+        whole = np.zeros((*values.shape[:-1], self.whole.parameters.n))
+        whole[..., self.moved] = values
+        return whole
+
+
+def bundles_of_each(knee: Knee) -> tuple[LigamentBundles, ...]:
+    """Bundles of each ligament as causes of their own."""
+    whole = bundles(knee)
+    p, names = whole.parameters, whole.parameters.names
+    n = p.n // (1 + len(BONES) * len(AXES))
+    found = []
+    for i in range(n):
+        ligament = names[i].partition(".")[2].removesuffix("_strain_spread_pct")
+        moved = np.r_[i, n + 6 * i + np.arange(6)]
+        own = p.select([names[k] for k in moved])
+        found.append(LigamentBundles(ligament=ligament, whole=whole, moved=moved, parameters=own))
+    return tuple(found)
+
+
+def _split(ligament: IntArray, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     is_own, lines = setting.owner >= 0, setting.lines
     # Every line, then the second bundles of those that belong to a ligament.
     line = np.r_[np.arange(is_own.size), np.flatnonzero(is_own)]
     owner = setting.owner[line]
     side = np.where(owner >= 0, 0.5, 0.0)
     side[is_own.size :] *= -1.0
+    # Of lines that belong to no ligament, which are not split, any one.
+    of = ligament[owner]
     n = values.shape[-1] // (1 + len(BONES) * len(AXES))
     each = values if values.ndim > 1 else values[None]
     row = setting.copy[line] if values.ndim > 1 else np.zeros(line.size, int)
     strains, places = each[:, :n], each[:, n:].reshape(-1, n, len(BONES), len(AXES))
-    aside = side[:, None, None] * places[row, owner]
+    aside = side[:, None, None] * places[row, of]
     half = np.where(owner >= 0, 0.5, 1.0)
     bundled = LineLigaments(
         femoral=lines.femoral[line] + aside[:, 0],
@@ -179,7 +234,7 @@ def _split(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     split = replace(
         setting,
         stiffness=half * setting.stiffness[line],
-        reference_strain=setting.reference_strain[line] + PER_PCT * side * strains[row, owner],
+        reference_strain=setting.reference_strain[line] + PER_PCT * side * strains[row, of],
         owner=owner,
         share=half * setting.share[line],
         copy=setting.copy[line],

@@ -25,7 +25,7 @@ SIZES = ("detectable above", "smallest relevant effect")
 
 def detectable_sizes(x: Detectability) -> tuple[str, str]:
     """The size that nine of ten data sets would show, and the smallest that matters."""
-    # Not finite in a computed answer, not a number in a loaded one.
+    # Not a number where no plausible size would be seen; infinite in answers of earlier versions.
     seen = amount(x.detectable, x.unit) if x.detectable < float("inf") else "not detectable"
     return seen, amount(x.relevant, x.unit)
 

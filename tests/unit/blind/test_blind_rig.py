@@ -213,3 +213,41 @@ def test_readings_too_large_are_added_to_what_is_read() -> None:
     change = _read(soft, list(poses)) - ACTUAL
     np.testing.assert_allclose(change[:, INTERNAL_DEG], 0.3 * LOADS[:, 0], atol=1e-9)
     assert np.abs(change[:, :INTERNAL_DEG]).max() < 1e3 * CLOSED_FORM
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_muscles_pull_and_their_parts_make_up_the_amplitude(seed: int) -> None:
+    hidden = drawn("muscle_tension", seed)
+    told, tense = numbers(hidden, 80.0), hidden.apply(experiment(), 80.0)
+    assert set(told) == {"quadriceps_N", "hamstrings_N", "gastrocnemius_N"}
+    assert min(told.values()) >= 0.0
+    assert np.linalg.norm(list(told.values())) == pytest.approx(80.0)
+    # The hamstrings, two thirds of them medial, towards the hip.
+    np.testing.assert_allclose(
+        np.linalg.norm(tense.weights[:, :3], axis=1).sum(), told["hamstrings_N"]
+    )
+    assert (tense.weights[:, 1] >= 0.0).all()
+    assert tense.weights[0, 5] < 0.0 < tense.weights[1, 5]
+    # The others press the bones together, the quadriceps pulling forward less as the knee bends.
+    change = tense.loads - experiment().loads
+    assert (change[:, DISTRACTION] < 0.0).all()
+    order = np.argsort(FLEXION_DEG, kind="stable")
+    assert (np.diff(change[order, ANTERIOR]) <= CLOSED_FORM).all()
+    np.testing.assert_allclose(change[:, LATERAL], 0.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_constant_pull_goes_to_one_side(seed: int) -> None:
+    pulled = drawn("constant_pull", seed).apply(experiment(), 25.0)
+    assert np.linalg.norm(pulled.weights[0, :3]) == pytest.approx(25.0)
+    assert abs(pulled.weights[0, 2]) >= 0.6 * 25.0
+    np.testing.assert_array_equal(pulled.loads, experiment().loads)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_rig_that_gives_way_one_way_reads_right_the_other_way(seed: int) -> None:
+    read = reading_change("one_way_yield", 0.2, seed)
+    moved = read[:, INTERNAL_DEG] != 0.0
+    assert len(set(np.sign(LOADS[moved, 0]))) <= 1
+    np.testing.assert_allclose(read[moved, INTERNAL_DEG], 0.2 * LOADS[moved, 0])
+    np.testing.assert_array_equal(np.delete(read, INTERNAL_DEG, axis=1), 0.0)

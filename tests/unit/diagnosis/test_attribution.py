@@ -20,13 +20,13 @@ from identknee.diagnosis.fitting import (
     without_causes,
 )
 from identknee.diagnosis.verdict import (
+    FURTHER_GAIN,
     MOST_AMPLITUDES,
     MOST_CAUSES,
     Attribution,
-    _is_better,
-    _with_flexible_effects,
+    _Sets,
     attribute,
-    backward_elimination,
+    is_better,
     refit_top_candidates,
 )
 from identknee.laxity.table import add_noise
@@ -189,7 +189,7 @@ class Made:
     """As much of a refit as the rules look at."""
 
     names: tuple[str, ...] = ()
-    penalised_chi2: float = 100.0
+    misfit_chi2: float = 100.0
     log_evidence: float = 0.0
     n_amplitudes: int = 1
 
@@ -199,32 +199,49 @@ class Made:
         return tuple(SimpleNamespace(name=x, parameters=parameters) for x in self.names)
 
 
+N_EFFECTS = 20
+
+
 def better(new: Made, old: Made) -> bool:
-    return _is_better(new, old)  # type: ignore[arg-type]
+    return is_better(new, old, N_EFFECTS)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("fall", "gain", "is_better"), [
+@pytest.mark.parametrize(("fall", "gain", "wins"), [
     (9.1, 2.1, True),
     (8.9, 50.0, False),  # chance alone lets the chi-square fall by so much
     (50.0, 1.9, False),  # the prior makes it no more likely than no cause
 ])  # fmt: skip
 def test_a_first_cause_must_lower_the_misfit_and_gain_evidence(
-    fall: float, gain: float, is_better: bool
+    fall: float, gain: float, wins: bool
 ) -> None:
-    new = Made(names=("a",), penalised_chi2=100.0 - fall, log_evidence=gain)
-    assert better(new, Made()) is is_better
+    new = Made(names=("a",), misfit_chi2=100.0 - fall, log_evidence=gain)
+    assert better(new, Made()) is wins
 
 
-@pytest.mark.parametrize(("fall", "is_better"), [(16.1, True), (15.9, False)])
-def test_a_further_cause_must_lower_it_by_more(fall: float, is_better: bool) -> None:
-    new = Made(names=("a", "b"), penalised_chi2=100.0 - fall, log_evidence=5.0)
-    assert better(new, Made(names=("a",))) is is_better
+@pytest.mark.parametrize(("fall", "wins"), [(16.1, True), (15.9, False)])
+def test_a_further_cause_must_lower_it_by_more(fall: float, wins: bool) -> None:
+    new = Made(names=("a", "b"), misfit_chi2=100.0 - fall, log_evidence=9.0)
+    assert better(new, Made(names=("a",))) is wins
+
+
+def test_a_larger_set_pays_for_the_number_of_its_size() -> None:
+    """Of 20 causes there are 190 pairs: the best of them is ahead by chance."""
+    single = Made(names=("a",), misfit_chi2=50.0, log_evidence=10.0)
+    pair = Made(names=("a", "b"), misfit_chi2=20.0)
+    least = 10.0 + FURTHER_GAIN + np.log(190.0 / 20.0)
+    assert better(replace(pair, log_evidence=least + 0.01), single)
+    assert not better(replace(pair, log_evidence=least - 0.01), single)
+    # Of no cause there is one set only.
+    assert not better(replace(pair, log_evidence=FURTHER_GAIN + np.log(190.0) - 0.01), Made())
+
+
+MadeByNames = dict[tuple[str, ...], Made]
 
 
 def looked_back(
-    monkeypatch: pytest.MonkeyPatch, current: Made, made: dict[tuple[str, ...], Made], singles: Any
-) -> tuple[Made, tuple[Made, ...]]:
-    """The look back where leaving out and swapping give refits made by hand."""
+    monkeypatch: pytest.MonkeyPatch, current: Made, made: MadeByNames, singles: Any = ()
+) -> tuple[Made, set[tuple[str, ...]]]:
+    """The winner after a look back whose refits are made by hand, and the names of the others."""
 
     def without(_base: Any, now: Made, name: str) -> Made:
         return made[tuple(x for x in now.names if x != name)]
@@ -234,81 +251,103 @@ def looked_back(
 
     monkeypatch.setattr(module, "_without", without)
     monkeypatch.setattr(module, "_swapped", swapped)
-    steps: Any = [SimpleNamespace(refits=singles)]
-    best, rest = backward_elimination(Made(), current, (), steps)  # type: ignore[arg-type]
-    return best, rest  # type: ignore[return-value]
+    monkeypatch.setattr(module, "_alone", lambda _base, _now, single: made[single.names])
+    sets = _Sets(Made(), N_EFFECTS)  # type: ignore[arg-type]
+    refits: Any = (current, *singles)
+    sets.add(refits)
+    sets.look_back(singles)
+    best: Any = sets.best
+    return best, {x.names for x in sets.others}
 
 
 def test_a_cause_that_another_made_superfluous_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first step's choice may be a stand-in for two that were found after it."""
-    current = Made(names=("stand-in", "true"), penalised_chi2=50.0, log_evidence=20.0)
-    made: dict[tuple[str, ...], Made] = {
-        ("true",): Made(names=("true",), penalised_chi2=60.0, log_evidence=19.0),
-        ("stand-in",): Made(names=("stand-in",), penalised_chi2=90.0, log_evidence=5.0),
+    current = Made(names=("stand-in", "true"), misfit_chi2=50.0, log_evidence=20.0)
+    made: MadeByNames = {
+        ("true",): Made(names=("true",), misfit_chi2=60.0, log_evidence=19.0),
+        ("stand-in",): Made(names=("stand-in",), misfit_chi2=90.0, log_evidence=5.0),
     }
-    best, rest = looked_back(monkeypatch, current, made, [])
+    best, others = looked_back(monkeypatch, current, made)
     assert best.names == ("true",)
-    assert {x.names for x in rest} == {("stand-in", "true"), ("stand-in",)}
+    # A pair that is not worth its causes is no rival of a single cause.
+    assert others == {("stand-in",)}
 
 
 def test_a_cause_that_is_needed_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), penalised_chi2=50.0, log_evidence=20.0)
-    made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), penalised_chi2=67.0, log_evidence=15.0),
-        ("b",): Made(names=("b",), penalised_chi2=90.0, log_evidence=5.0),
+    current = Made(names=("a", "b"), misfit_chi2=50.0, log_evidence=20.0)
+    made: MadeByNames = {
+        ("a",): Made(names=("a",), misfit_chi2=67.0, log_evidence=12.0),
+        ("b",): Made(names=("b",), misfit_chi2=90.0, log_evidence=5.0),
     }
-    best, _ = looked_back(monkeypatch, current, made, [])
+    best, others = looked_back(monkeypatch, current, made)
     assert best is current
+    assert others == {("a",), ("b",)}
 
 
-def test_a_swap_that_explains_far_more_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), penalised_chi2=80.0, log_evidence=20.0)
-    third = Made(names=("c",), penalised_chi2=85.0, log_evidence=10.0)
-    made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), penalised_chi2=120.0, log_evidence=0.0),
-        ("b",): Made(names=("b",), penalised_chi2=120.0, log_evidence=0.0),
-        ("b", "c"): Made(names=("b", "c"), penalised_chi2=50.0, log_evidence=40.0),
-        ("a", "c"): Made(names=("a", "c"), penalised_chi2=79.0, log_evidence=20.5),
+def test_a_swap_that_explains_more_takes_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    current = Made(names=("a", "b"), misfit_chi2=80.0, log_evidence=30.0)
+    third = Made(names=("c",), misfit_chi2=110.0, log_evidence=1.0)
+    poor = [Made(names=(x,), misfit_chi2=120.0, log_evidence=0.0) for x in "abc"]
+    pairs = [Made(names=("c", x), misfit_chi2=120.0, log_evidence=0.0) for x in "ab"]
+    made: MadeByNames = {
+        **{x.names: x for x in (*poor, *pairs)},
+        ("b", "c"): Made(names=("b", "c"), misfit_chi2=50.0, log_evidence=40.0),
+        ("a", "c"): Made(names=("a", "c"), misfit_chi2=79.0, log_evidence=30.5),
     }
-    best, rest = looked_back(monkeypatch, current, made, [third])
+    best, others = looked_back(monkeypatch, current, made, [third])
     assert best.names == ("b", "c")
-    assert current in rest
-    # One that is hardly ahead is an alternative, no better explanation.
-    made[("b", "c")] = Made(names=("b", "c"), penalised_chi2=79.0, log_evidence=20.9)
-    best, _ = looked_back(monkeypatch, current, made, [third])
-    assert best is current
+    assert current.names in others
+
+
+def test_a_single_cause_refitted_from_the_larger_set_may_win(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its first refit had ended behind a cliff."""
+    current = Made(names=("a", "b"), misfit_chi2=50.0, log_evidence=30.0)
+    stuck = Made(names=("true",), misfit_chi2=300.0, log_evidence=-90.0)
+    bad = Made(names=("a",), misfit_chi2=200.0, log_evidence=-50.0)
+    made: MadeByNames = {
+        ("a",): bad,
+        ("b",): replace(bad, names=("b",)),
+        ("true",): replace(stuck, misfit_chi2=45.0, log_evidence=31.0),
+        ("a", "true"): replace(bad, names=("a", "true")),
+        ("b", "true"): replace(bad, names=("b", "true")),
+    }
+    best, _ = looked_back(monkeypatch, current, made, [stuck])
+    assert best.names == ("true",)
+
+
+def many_amplitudes(log_evidence: float) -> Made:
+    return Made(
+        names=("many",),
+        misfit_chi2=10.0,
+        log_evidence=log_evidence,
+        n_amplitudes=MOST_AMPLITUDES + 1,
+    )
 
 
 def test_flexible_effects_are_not_swapped_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    current = Made(names=("a", "b"), penalised_chi2=50.0, log_evidence=20.0)
-    many = Made(
-        names=("many",), penalised_chi2=10.0, log_evidence=90.0, n_amplitudes=MOST_AMPLITUDES + 1
-    )
-    made: dict[tuple[str, ...], Made] = {
-        ("a",): Made(names=("a",), penalised_chi2=90.0, log_evidence=1.0),
-        ("b",): Made(names=("b",), penalised_chi2=90.0, log_evidence=1.0),
+    current = Made(names=("a", "b"), misfit_chi2=50.0, log_evidence=20.0)
+    made: MadeByNames = {
+        ("a",): Made(names=("a",), misfit_chi2=90.0, log_evidence=1.0),
+        ("b",): Made(names=("b",), misfit_chi2=90.0, log_evidence=1.0),
     }
-    best, _ = looked_back(monkeypatch, current, made, [many])
+    best, _ = looked_back(monkeypatch, current, made, [many_amplitudes(90.0)])
     assert best is current
 
 
-def flexible(current: Made, rest: Sequence[Made], first: Sequence[Made]) -> tuple[Made, Any]:
-    step: Any = SimpleNamespace(refits=tuple(first), at=Made())
-    return _with_flexible_effects(current, tuple(rest), step)  # type: ignore[arg-type, return-value]
-
-
-def test_an_effect_of_many_amplitudes_wins_by_evidence_alone() -> None:
-    simple = Made(names=("a",), penalised_chi2=50.0, log_evidence=20.0)
-    many = Made(
-        names=("many",), penalised_chi2=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1
-    )
-    best, rest = flexible(simple, [simple, many], [simple, many])
-    assert best is many
-    assert simple in rest
-    less = replace(many, log_evidence=19.0)
-    best, rest = flexible(simple, [simple, less], [simple, less])
+@pytest.mark.parametrize(("evidence", "wins"), [(30.0, True), (19.0, False)])
+def test_an_effect_of_many_amplitudes_wins_by_evidence_alone(evidence: float, wins: bool) -> None:
+    simple = Made(names=("a",), misfit_chi2=50.0, log_evidence=20.0)
+    many: Any = many_amplitudes(evidence)
+    sets = _Sets(Made(), N_EFFECTS)  # type: ignore[arg-type]
+    both: Any = [simple, many]
+    sets.add(both)
+    best: Any = sets.best
     assert best is simple
-    assert less in rest
+    sets.let_flexible_win(both)
+    assert (sets.best is many) is wins
+    assert {x.names for x in sets.others} == {("a",) if wins else ("many",)}
 
 
 def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -332,16 +371,19 @@ def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -
         return (
             Made(
                 names=(*now.names, name),
-                penalised_chi2=now.penalised_chi2 - 20.0,
+                misfit_chi2=now.misfit_chi2 - 20.0,
                 log_evidence=now.log_evidence + 10.0,
             ),
         )
 
+    def poor(_base: Any, now: Made, name: str, *_: Any) -> Made:
+        return Made(names=tuple(x for x in now.names if x != name))
+
     monkeypatch.setattr(module, "score_candidates", look)
     monkeypatch.setattr(module, "refit_top_candidates", refits)
-    monkeypatch.setattr(
-        module, "backward_elimination", lambda _base, current, rest, _steps: (current, rest)
-    )
+    monkeypatch.setattr(module, "_without", poor)
+    monkeypatch.setattr(module, "_swapped", poor)
+    monkeypatch.setattr(module, "_alone", lambda _base, _now, single: single)
     monkeypatch.setattr(module, "rivals_of", lambda *_: ())
     effects: Any = [SimpleNamespace(name=x) for x in "abcde"]
     found = attribute(Made(), effects, seed=0)  # type: ignore[arg-type]

@@ -19,7 +19,6 @@ from identknee.diagnosis.verdict import (
     Verdict,
     _promising,
     attribute,
-    backward_elimination,
     conclude,
 )
 from identknee.runs.record import Outcome
@@ -35,7 +34,7 @@ class Explanation:
     misfit_p_value: float = 0.5
     noise_degrees: float = 60.0
     log_evidence: float = 0.0
-    penalised_chi2: float = 100.0
+    misfit_chi2: float = 100.0
     outcome: Outcome = Outcome.MINIMUM
     is_finite: bool = True
     promised_fall: float = 0.0
@@ -155,6 +154,12 @@ def test_one_cause_that_fits_alone_is_named() -> None:
     assert (pair.verdict, pair.group) == (Verdict.NAMED, ("a", "b"))
 
 
+def test_more_than_two_causes_stand_in_for_something_else() -> None:
+    found = concluded(Explanation(names=("a", "b", "c")))
+    assert (found.verdict, found.group) == (Verdict.UNEXPLAINED, ())
+    assert "missing wrench" in found.reasons[1]
+
+
 def test_open_rivals_leave_it_ambiguous() -> None:
     found = concluded(ONE, (rival(1.0), rival(20.0)))
     assert (found.verdict, found.group) == (Verdict.AMBIGUOUS, ("cause", "other"))
@@ -247,11 +252,6 @@ def test_beside_a_cause_neither_flexible_effects_nor_secants_are_tried() -> None
     assert first[:2] == ["0", "1"]
 
 
-def test_a_single_cause_is_not_looked_back_at() -> None:
-    made: Any = ONE
-    assert backward_elimination(made, made, (), []) == (made, ())
-
-
 @dataclass(frozen=True)
 class Step:
     """A step whose refits are given."""
@@ -281,20 +281,20 @@ def test_without_simple_effects_the_search_ends_and_evidence_alone_decides(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     many = Explanation(
-        names=("m",), penalised_chi2=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1
+        names=("m",), misfit_chi2=10.0, log_evidence=30.0, n_amplitudes=MOST_AMPLITUDES + 1
     )
     found = searched(monkeypatch, lambda _step: (many,), "mn")
     assert found.best is many
     # The last step is beside what won, though the search itself had ended at the base model.
     assert [x.at.names for x in found.steps] == [(), ("m",)]
-    worse = replace(many, penalised_chi2=95.0)
+    worse = replace(many, misfit_chi2=95.0)
     kept = searched(monkeypatch, lambda _step: (worse,), "mn")
     assert kept.best is kept.base
     assert kept.rivals == (worse,)
 
 
 def test_the_search_ends_where_no_effect_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = Explanation(names=("a",), penalised_chi2=10.0, log_evidence=30.0)
+    one = Explanation(names=("a",), misfit_chi2=10.0, log_evidence=30.0)
     found = searched(monkeypatch, lambda _step: (one,), "a")
     assert (found.best, len(found.steps)) == (one, 1)
     assert not found.has_remaining_misfit

@@ -68,6 +68,9 @@ def drawn(model: LaxityModel, generator: np.random.Generator) -> Array:
     theta[:n] += 0.02 * generator.uniform(-1.0, 1.0, n) * np.maximum(np.abs(theta[:n]), 1.0)
     moves = generator.uniform(0.3, 1.0, theta.size - n) * parameters.prior_sd[n:]
     moves *= generator.choice([-1.0, 1.0], moves.size)
+    if parameters.names[n].startswith("muscle_tension"):
+        # All muscles at once would throw the small knee out of its joint.
+        moves *= 0.4
     moves = np.where(parameters.lower[n:] == 0.0, np.abs(moves), moves)
     theta[n:] = np.clip(theta[n:] + moves, parameters.lower[n:], parameters.upper[n:])
     return theta

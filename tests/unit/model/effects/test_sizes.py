@@ -34,6 +34,7 @@ LARGEST = {
     "cartilage": (np.log(10.0), "a tenth of the modulus, or ten times it"),
     "compression": (200.0 / 1.5, "N of muscle tone, as far above the usual 60 N"),
     "shank_gravity": (35.0, "N, shank and foot not tared"),
+    "muscle_tension": (150.0, "N of muscle tone in each"),
     "moment_gain_IE": (0.1, "a tenth by hand"),
     "moment_gain_VV": (0.1, "a tenth by hand"),
     "moment_offset": (0.5, "N·m tolerance of control"),

@@ -1,0 +1,93 @@
+"""A ligament that carries nothing: the model fits, and the ligament is named."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from identknee.checks.fit_checks import ligament_findings, ligament_loads
+from identknee.diagnosis.fitting import WIDER, fit_base, without_causes
+from identknee.diagnosis.investigation import Investigation, investigate
+from identknee.diagnosis.verdict import Verdict
+from identknee.laxity.protocol import load_protocol
+from identknee.laxity.table import add_noise
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.runs.record import Outcome
+from identknee.subject.reference import reference_knee
+from identknee.verbs.diagnosis import implausible_explanation
+
+TORN, LEFT, SD = "MCL", 0.02, 0.3
+
+
+@cache
+def torn() -> Investigation:
+    """The diagnosis of laxity with a fiftieth of the medial collateral's stiffness."""
+    knee = reference_knee()
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    theta = np.array(model.parameters.center)
+    theta[model.parameters.index(f"{TORN}.{STIFFNESS}")] *= LEFT
+    laxity = add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=3)
+    found = investigate(knee, laxity)
+    assert found is not None
+    return found
+
+
+def test_a_torn_ligament_is_no_misfit() -> None:
+    found = torn()
+    assert found.conclusion.verdict is Verdict.ADEQUATE
+    assert found.base.misfit_p_value > 0.05
+    # It had no stiffness and no length that its prior could tell.
+    prior = LaxityModel(knee=reference_knee(), protocol=load_protocol("seed63")).parameters
+    own, fitted = found.base.fitted.model.parameters, found.base.fitted
+    wider = own.prior_sd[: prior.n] / prior.prior_sd
+    np.testing.assert_allclose(wider, np.where([TORN in x for x in prior.names], WIDER, 1.0))
+    np.testing.assert_array_equal(own.center[: prior.n], prior.center)
+    assert fitted.outcome is Outcome.MINIMUM
+
+
+def test_the_extended_subject_keeps_its_own_priors() -> None:
+    assert torn().extended_knee.priors == reference_knee().priors
+
+
+def test_it_is_named_and_asked_for_no_strain() -> None:
+    found = torn()
+    named = [x for x in found.findings if x.code == "ligament-idle"]
+    assert [x.where for x in named] == [TORN]
+    force, expected = (named[0].values[x] for x in ("force_N", "prior_force_N"))
+    assert isinstance(force, float)
+    assert isinstance(expected, float)
+    assert force < 0.05 * expected
+    assert not [x for x in implausible_explanation(found) if x.code == "implausible-strain"]
+
+
+def test_a_refuted_prior_is_neither_misfit_nor_scored() -> None:
+    """Before it is widened; it is then no longer refuted."""
+    knee = reference_knee()
+    fitted = fit_base(knee, torn().laxity, starts=[], seed=0)
+    assert fitted is not None
+    base = without_causes(fitted)
+    assert base.misfit_p_value > 0.05
+    assert fitted.fitted.deviance - base.misfit_chi2 > 50.0
+    left_out = np.flatnonzero(~fitted.fitted.is_scored) - fitted.fitted.n_data
+    names = [fitted.fitted.model.parameters.names[i] for i in left_out]
+    assert names == [f"{TORN}.{STIFFNESS}", f"{TORN}.{STRAIN}"]
+    assert torn().base.fitted.is_scored.all()
+
+
+@pytest.mark.parametrize(("log_shift", "codes"), [
+    (0.0, []),
+    (1.0, []),  # 2.9 standard deviations
+    (1.5, ["ligament-beyond-prior"]),
+])  # fmt: skip
+def test_a_ligament_that_carries_load_may_be_far_from_its_prior(
+    log_shift: float, codes: list[str]
+) -> None:
+    knee = reference_knee()
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    theta = np.array(model.parameters.center)
+    theta[model.parameters.index(f"PCL.{STIFFNESS}")] *= np.exp(log_shift)
+    prediction = model.predict(theta, derivatives=False)
+    assert prediction.is_converged.all()
+    assert [x.code for x in ligament_findings(model, prediction)] == codes
+    assert not any(x.is_idle for x in ligament_loads(model, prediction))
