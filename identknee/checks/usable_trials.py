@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
@@ -17,6 +18,7 @@ from identknee.calibrate.problem import (
     with_nuisance_priors,
     without_priors,
 )
+from identknee.identify.optimum import REACH, sobol_around
 from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
@@ -35,6 +37,8 @@ from identknee.subject.knee import Knee
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
 PATTERN_STRETCH = 0.06
 BUDGET = 300
+# kN, and % of strain at the longest measured length: where other searches begin.
+LEAST_STIFFNESS, STRETCH_RANGE = 1.0, (-3.0, 10.0)
 # How many trials without equilibrium are listed by name for each reason.
 MOST_LISTED = 6
 ABOUT_FALLBACK = (
@@ -179,6 +183,49 @@ class TrialSearch:
 
     def _has_all(self, theta: Array) -> bool:
         return bool(self.has_equilibrium(theta)[self.measured].all())
+
+
+def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
+    """Where other searches begin, shape ``(n, p)``: around the start, and by stretch.
+
+    Half of them each where the model begins at measured poses, else all around the start.
+    """
+    m = n if model.poses is None else n - n // 2
+    around = sobol_around(model.parameters, start, m, reach=REACH, seed=seed)
+    if m == n:
+        return around
+    nuisances = ~model.parameters.is_of_interest
+    middle = np.where(nuisances, model.parameters.start, start)
+    return np.vstack([around, starts_by_stretch(model, middle, n - m, seed=seed)])
+
+
+def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
+    """Starts whose ligaments are stretched by a few percent in the measured poses, ``(n, p)``.
+
+    A Sobol sequence in the logarithm of each stiffness, within its bounds and above 1 kN, and in
+    the strain of each ligament at the longest of its measured lengths, from -3 to 10 %. Most points
+    of the box of parameters stretch some ligament until nothing balances it.
+
+    Parameters
+    ----------
+    model
+        A model that begins at measured poses.
+    start
+        Values of all other parameters, shape ``(p,)``.
+    n
+        Number of starts.
+    seed
+        Seed of the scrambling.
+    """
+    u, parameters = model.tied.n, model.parameters
+    drawn = scipy.stats.qmc.Sobol(2 * u, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
+    low, high = np.maximum(parameters.lower[:u], LEAST_STIFFNESS), parameters.upper[:u]
+    slack = strains_as_measured(model.setting(start), 0.0)[: len(model.knee.ligaments)]
+    starts = np.tile(start, (n, 1))
+    starts[:, :u] = low * (high / low) ** drawn[:, :u]
+    strains = model.tied.strain_upper_limits(slack) + STRETCH_RANGE[0]
+    starts[:, u : 2 * u] = strains + (STRETCH_RANGE[1] - STRETCH_RANGE[0]) * drawn[:, u:]
+    return np.clip(starts, parameters.lower, parameters.upper)
 
 
 def defined_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:

@@ -13,8 +13,6 @@ from identknee.calibrate.problem import (
     evaluate,
     with_nuisance_priors,
 )
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
@@ -29,8 +27,6 @@ N_FINISHED = 4
 # Searches of a round of hops, their reach in prior standard deviations round by round, the gain in
 # deviance that counts, and how many rounds may gain nothing.
 N_HOPS, REACH_OF_HOPS, A_GAIN, MOST_IDLE = 8, (1.0, 0.5, 1.0, 0.5, 1.0), 0.05, 2
-# kN, and % of strain at the longest measured length.
-LEAST_STIFFNESS, STRETCHES = 1.0, (-3.0, 10.0)
 
 
 def best_fit(
@@ -156,49 +152,6 @@ def _finished(
         spent = fits[i].n_simulations + end.n_simulations
         fits[i] = replace(end, start=fits[i].start, n_simulations=spent)
     return sorted(fits, key=lambda one: one.objective)
-
-
-def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
-    """Where other searches begin, shape ``(n, p)``: around the start, and by stretch.
-
-    Half of them each where the model begins at measured poses, else all around the start.
-    """
-    m = n if model.poses is None else n - n // 2
-    around = sobol_around(model.parameters, start, m, reach=REACH, seed=seed)
-    if m == n:
-        return around
-    nuisances = ~model.parameters.is_of_interest
-    middle = np.where(nuisances, model.parameters.start, start)
-    return np.vstack([around, starts_by_stretch(model, middle, n - m, seed=seed)])
-
-
-def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
-    """Starts whose ligaments are stretched by a few percent in the measured poses, ``(n, p)``.
-
-    A Sobol sequence in the logarithm of each stiffness, within its bounds and above 1 kN, and in
-    the strain of each ligament at the longest of its measured lengths, from -3 to 10 %. Most points
-    of the box of parameters stretch some ligament until nothing balances it.
-
-    Parameters
-    ----------
-    model
-        A model that begins at measured poses.
-    start
-        Values of all other parameters, shape ``(p,)``.
-    n
-        Number of starts.
-    seed
-        Seed of the scrambling.
-    """
-    u, parameters = model.tied.n, model.parameters
-    drawn = scipy.stats.qmc.Sobol(2 * u, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
-    low, high = np.maximum(parameters.lower[:u], LEAST_STIFFNESS), parameters.upper[:u]
-    slack = strains_as_measured(model.setting(start), 0.0)[: len(model.knee.ligaments)]
-    starts = np.tile(start, (n, 1))
-    starts[:, :u] = low * (high / low) ** drawn[:, :u]
-    strains = model.tied.strain_upper_limits(slack) + STRETCHES[0]
-    starts[:, u : 2 * u] = strains + (STRETCHES[1] - STRETCHES[0]) * drawn[:, u:]
-    return np.clip(starts, parameters.lower, parameters.upper)
 
 
 def check_within_bounds(theta: Array, parameters: Parameters) -> None:

@@ -30,13 +30,13 @@ from identknee.checks.usable_trials import (
     excluded_trial_findings,
     input_findings,
     residuals_of,
+    starts_elsewhere,
     table_model,
     unfitted_findings,
 )
 from identknee.identify.optimum import (
     N_STARTS,
     nuisance_estimates,
-    starts_elsewhere,
     with_fits_from,
 )
 from identknee.laxity.protocol import ABSOLUTE

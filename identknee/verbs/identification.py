@@ -31,6 +31,7 @@ from identknee.checks.usable_trials import (
     defined_everywhere,
     excluded_trial_findings,
     prediction_finding,
+    starts_elsewhere,
     table_model,
     trial_names,
 )
@@ -39,7 +40,6 @@ from identknee.identify.optimum import (
     EstimatedNoise,
     check_within_bounds,
     nuisance_estimates,
-    starts_elsewhere,
     with_estimated_noise,
 )
 from identknee.identify.optimum import best_fits as find_best_fits

@@ -8,11 +8,12 @@ import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.checks.usable_trials import TrialSearch
+from identknee.checks.usable_trials import TrialSearch, starts_by_stretch
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.runs.findings import Severity
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Uncertainty
@@ -86,6 +87,22 @@ def test_where_all_trials_have_an_equilibrium_nothing_is_added() -> None:
     everywhere = search.problem_everywhere(search.laxity).residuals(start)
     np.testing.assert_array_equal(everywhere[: plain.size], plain)
     np.testing.assert_array_equal(everywhere[plain.size :], 0.0)
+
+
+def test_starts_by_stretch_stretch_each_ligament_by_minus_3_to_10_percent() -> None:
+    laxity = as_read()
+    model = LaxityModel(knee=small_knee(), protocol=laxity.protocol).with_tests(laxity)
+    start, u = model.parameters.start, model.tied.n
+    starts = starts_by_stretch(model, start, 16)
+    slack = strains_as_measured(model.setting(start), 0.0)
+    stretch = starts[:, u : 2 * u] - slack
+    assert stretch.min() >= -3.0 - 1e-9
+    assert stretch.max() <= 10.0 + 1e-9
+    assert np.ptp(stretch, axis=0).min() > 8.0
+    assert starts[:, :u].min() >= 1.0
+    # Evenly in the logarithm: half of them below the geometric mean of 1 and 40 kN.
+    below = (starts[:, :u] < np.sqrt(40.0)).sum(axis=0)
+    np.testing.assert_array_equal(below, 8)
 
 
 def test_all_trials_are_used_from_a_start_that_has_them() -> None:

@@ -3,18 +3,14 @@
 import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters, sloppy_springs
-from small_knee import as_read, small_knee
 
 from identknee.calibrate.fit import fit
 from identknee.identify.optimum import (
     N_FINISHED,
     best_fit,
     best_fits,
-    starts_by_stretch,
     with_fits_from,
 )
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 
@@ -84,22 +80,6 @@ def test_what_a_fit_holds_is_held_in_the_others() -> None:
     points = start + 0.1 * np.random.default_rng(0).normal(size=(4, start.size))
     for other in with_fits_from(problem, first, points, budget=30):
         assert other.theta[0] == start[0]
-
-
-def test_starts_by_stretch_stretch_each_ligament_by_minus_3_to_10_percent() -> None:
-    laxity = as_read()
-    model = LaxityModel(knee=small_knee(), protocol=laxity.protocol).with_tests(laxity)
-    start, u = model.parameters.start, model.tied.n
-    starts = starts_by_stretch(model, start, 16)
-    slack = strains_as_measured(model.setting(start), 0.0)
-    stretch = starts[:, u : 2 * u] - slack
-    assert stretch.min() >= -3.0 - 1e-9
-    assert stretch.max() <= 10.0 + 1e-9
-    assert np.ptp(stretch, axis=0).min() > 8.0
-    assert starts[:, :u].min() >= 1.0
-    # Evenly in the logarithm: half of them below the geometric mean of 1 and 40 kN.
-    below = (starts[:, :u] < np.sqrt(40.0)).sum(axis=0)
-    np.testing.assert_array_equal(below, 8)
 
 
 def test_a_start_outside_the_bounds_is_refused() -> None:

@@ -28,6 +28,8 @@ def test_released_equilibria_are_those_at_the_ends_of_load_paths() -> None:
     assert (second.codes == CONVERGED).all()
     np.testing.assert_array_equal(second.released, 1.0)
     np.testing.assert_allclose(second.coordinates, first.coordinates, atol=1e-6)
+    assert first.jacobian is not None
+    assert second.jacobian is not None
     np.testing.assert_allclose(second.jacobian, first.jacobian, atol=1e-5)
 
 
