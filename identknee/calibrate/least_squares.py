@@ -216,7 +216,9 @@ def minimise_by_least_squares(
     Gauss-Newton step within the bounds vanishes, or where no step goes down any more and the
     derivatives predict next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
     on because every longer step has no prediction it tries to get around and goes on
-    from there, or ends (`cliff`). A start outside the bounds is moved just inside.
+    from there, or ends (`cliff`). Among nuisances it ends there at once: a way around takes
+    hundreds of simulations, a search from elsewhere one hundred. A start outside the bounds is
+    moved just inside.
     """
     lower, upper = evaluator.parameters.lower, evaluator.parameters.upper
     margin = np.minimum(INSIDE * typical_steps(evaluator.parameters), 0.1 * (upper - lower))
@@ -226,7 +228,7 @@ def minimise_by_least_squares(
         return Outcome.START_FAILED
     for _ in range(MAX_WAYS):
         outcome = _descend(evaluator, theta)
-        if outcome is not Outcome.CLIFF:
+        if outcome is not Outcome.CLIFF or evaluator.curvature is not None:
             return outcome
         around = descent_around_cliff(evaluator, _best(evaluator), generator)
         if around is None:
