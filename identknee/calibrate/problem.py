@@ -366,6 +366,8 @@ class Curvature:
 
 
 REMEMBERED = 4
+# Share of the deviance: residuals without derivatives that change it by less differ by rounding.
+LEAST_JUMP = 1e-6
 # In units of the noise: a search that comes so near to where another one ended would end there too.
 NEAR = 0.1
 
@@ -415,11 +417,12 @@ def jump(before: Evaluation, after: Evaluation) -> float:
     """Change of the deviance by residuals that jump: they differ, and have no derivatives.
 
     Only residuals without derivatives on both sides are looked at, such as those that say that a
-    trial has no equilibrium.
+    trial has no equilibrium. 0 where they differ by rounding.
     """
     is_flat = ~before.jacobian.any(axis=1) & ~after.jacobian.any(axis=1)
     first, last = before.residuals[is_flat], after.residuals[is_flat]
-    return float(last @ last - first @ first)
+    change = float(last @ last - first @ first)
+    return change if abs(change) > LEAST_JUMP * (1.0 + before.deviance) else 0.0
 
 
 class Evaluator:

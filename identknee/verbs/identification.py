@@ -320,8 +320,10 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     """
     check_start(setup)
     budget = BRIEF if setup.problem.parameters.nuisance_names else None
-    start = setup.free.expand(setup.start)
-    points = setup.free.restrict(starts_elsewhere(setup.model, start, N_STARTS, seed=seed))
+    points = None
+    if setup.model.poses is not None:
+        start = setup.free.expand(setup.start)
+        points = setup.free.restrict(starts_elsewhere(setup.model, start, N_STARTS, seed=seed))
     try:
         fits = find_best_fits(
             setup.everywhere,

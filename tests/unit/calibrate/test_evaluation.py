@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, linear, sloppy_springs
 
-from identknee.calibrate.problem import Evaluator, SearchEnded, evaluate
+from identknee.calibrate.problem import Evaluation, Evaluator, SearchEnded, evaluate, jump
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 
@@ -138,3 +138,18 @@ def test_what_was_remembered_does_not_change_with_the_callers_array() -> None:
     np.testing.assert_array_equal(evaluator.best_theta, problem.start)
     evaluator.deviance(theta)
     assert evaluator.n_simulations == 2
+
+
+def test_a_jump_is_a_residual_without_derivatives_that_differs() -> None:
+    def at(last: float, slope: float) -> Evaluation:
+        return Evaluation(
+            theta=np.zeros(1),
+            residuals=np.array([1.0, last]),
+            jacobian=np.array([[2.0], [slope]]),
+        )
+
+    assert jump(at(0.0, 0.0), at(5.0, 0.0)) == 25.0
+    assert jump(at(5.0, 0.0), at(0.0, 0.0)) == -25.0
+    # What has a slope changes for a reason, and rounding is no jump.
+    assert jump(at(0.0, 0.0), at(5.0, 1.0)) == 0.0
+    assert jump(at(1.0, 0.0), at(1.0 + 1e-9, 0.0)) == 0.0

@@ -159,7 +159,7 @@ def test_an_open_end_is_said_to_be_open(page: str) -> None:
 
 def test_what_was_not_done_is_offered_with_its_command(page: str) -> None:
     assert "identknee design" in page
-    assert "identknee profile" not in page
+    assert "identknee profile &#39;" not in page
     # A shell sees the name of the subject as one word.
     assert "identknee sweep &#39;&lt;script&gt;alert(1)&lt;/script&gt; &amp; " in page
 
