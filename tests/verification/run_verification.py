@@ -33,6 +33,7 @@ MODULES = {
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
     "verdicts": "verify_verdicts",
+    "measured_knee": "verify_measured_knee",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
