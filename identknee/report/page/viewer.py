@@ -72,7 +72,9 @@ def _patches(surface: Surface, number: int) -> tuple[IntArray, Array]:
     # Seeds evenly along the surface's area, in an order that keeps neighbours together.
     order = cKDTree(vertices).indices
     passed = np.cumsum(weight[order]) - 0.5 * weight[order]
-    seeds = order[np.searchsorted(passed, (np.arange(number) + 0.5) * weight.sum() / number)]
+    wanted = (np.arange(number) + 0.5) * weight.sum() / number
+    # The last vertex may have more than a whole share of the area.
+    seeds = order[np.minimum(np.searchsorted(passed, wanted), len(order) - 1)]
     centroids = vertices[np.unique(seeds)]
     for _ in range(ROUNDS):
         nearest = cKDTree(centroids).query(vertices)[1]

@@ -52,3 +52,16 @@ def test_vertex_of_no_triangle_does_no_harm() -> None:
     used = np.unique(mesh.faces)
     assert np.isfinite(mesh.vertices).all()
     assert np.abs(mesh.vertices[used, 2]).max() < OFF
+
+
+def test_vertices_at_the_ends_may_have_most_of_the_area() -> None:
+    """Two large triangles beside many small ones, whichever the tree orders last."""
+    strip = np.array([[0.1 * (i // 2), 0.1 * (i % 2), 0.0] for i in range(40)])
+    small = np.array([[i, i + 1, i + 2] for i in range(38)])
+    ends = np.array(
+        [[x + dx, dy, 0.0] for x in (-200, 200) for dx, dy in ((0, 0), (50, 0), (0, 50))]
+    )
+    large = np.array([[40, 41, 42], [43, 44, 45]])
+    whole = Surface(vertices=np.vstack([strip, ends]), faces=np.vstack([small, large]))
+    mesh = few_triangles(whole, 45)
+    assert 0 < len(mesh.vertices) <= 45
