@@ -45,6 +45,7 @@ from identknee.calibrate.problem import (
     SearchEnded,
     conditional_sds,
     jump,
+    thin_svd,
 )
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
@@ -246,7 +247,7 @@ def _least_norm_step(matrix: Array, missing: Array, least: float) -> Array:
         move = np.empty(len(order))
         move[order] = solve_triangular(triangle, orthogonal.T @ -missing, check_finite=False)
         return move
-    left, size, right = np.linalg.svd(matrix, full_matrices=False)
+    left, size, right = thin_svd(matrix)
     known = size > least
     return np.asarray(right[known].T @ (left[:, known].T @ -missing / size[known]))
 

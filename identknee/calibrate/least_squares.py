@@ -32,6 +32,7 @@ from identknee.calibrate.problem import (
     Evaluation,
     Evaluator,
     SearchEnded,
+    thin_svd,
     typical_steps,
 )
 from identknee.model.parameters import Parameters
@@ -142,7 +143,7 @@ class _Poll:
         self._theta = theta
         self._scales = typical_steps(evaluator.parameters)
         here = evaluator(theta)
-        left, size, right = scipy.linalg.svd(here.jacobian * self._scales, full_matrices=False)
+        left, size, right = thin_svd(here.jacobian * self._scales)
         kept = size > RANK_TOLERANCE * size[0]
         self._scaled_from_poll = right[kept].T / size[kept]
         self._deviance = here.deviance

@@ -6,10 +6,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import svd
 
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.record import Outcome
 
 STIFFNESS_UNIT = "_kN"
@@ -183,7 +184,8 @@ class ProblemWithPriors:
         return self.problem.parameters
 
     @property
-    def _places(self) -> IntArray:
+    def places(self) -> IntArray:
+        """Places of the parameters with such a residual, shape ``(k,)``."""
         if self.has_prior is None:
             return np.arange(self.parameters.n)
         return np.flatnonzero(self.has_prior)
@@ -193,7 +195,7 @@ class ProblemWithPriors:
 
         All are infinite where a parameter with a lognormal prior is not positive.
         """
-        parameters, places = self.parameters, self._places
+        parameters, places = self.parameters, self.places
         is_log = parameters.is_log[places]
         data, values, center = self.problem.residuals(theta), theta[places], parameters.center
         if np.any(values[is_log] <= 0):
@@ -204,7 +206,7 @@ class ProblemWithPriors:
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of residuals and prior rows by theta, shape ``(m + k, n)``."""
-        parameters, places = self.parameters, self._places
+        parameters, places = self.parameters, self.places
         is_log, values = parameters.is_log[places], theta[places]
         slope = np.where(is_log, 1.0 / np.where(is_log, values, 1.0), 1.0)
         priors = np.zeros((places.size, parameters.n))
@@ -223,9 +225,56 @@ def with_all_priors(problem: Problem) -> ProblemWithPriors:
     return ProblemWithPriors(problem=without_priors(problem))
 
 
+def with_priors_of(problem: Problem, other: Problem) -> Problem:
+    """The problem with residuals for the priors that another one has, of parameters it shares."""
+    if not isinstance(other, ProblemWithPriors):
+        return problem
+    names = [other.parameters.names[i] for i in other.places]
+    has_prior = np.isin(problem.parameters.names, names)
+    return ProblemWithPriors(problem=problem, has_prior=has_prior) if has_prior.any() else problem
+
+
 def without_priors(problem: Problem) -> Problem:
     """The problem with the residuals of its data alone."""
     return problem.problem if isinstance(problem, ProblemWithPriors) else problem
+
+
+TABLE_TERM, LIGAMENT_TERM, NUISANCE_TERM = (
+    "laxity table",
+    "priors of ligament parameters",
+    "priors of nuisance parameters",
+)
+
+
+@declared
+class EvidenceTerm:
+    """A term of the deviance: what speaks about the knee, and how much of the misfit it has."""
+
+    name: str = entry("Laxity table, priors of ligament parameters, or priors of nuisances")
+    n: int = entry("Its values", unit="1")
+    deviance: float = entry("Its sum of squared residuals", unit="1")
+    share: float = entry("Its share of the deviance", unit="1")
+
+
+def evidence_terms(problem: Problem, theta: Array) -> tuple[EvidenceTerm, ...]:
+    """The terms of the deviance of a problem at theta, shape ``(n,)``; none without a prediction.
+
+    Their deviances add up to that of the problem.
+    """
+    residuals = problem.residuals(theta)
+    if not np.isfinite(residuals).all():
+        return ()
+    asked = np.zeros(0, bool)
+    if isinstance(problem, ProblemWithPriors):
+        asked = problem.parameters.is_of_interest[problem.places]
+    table, priors = np.split(residuals, [residuals.size - asked.size])
+    parts = {TABLE_TERM: table, LIGAMENT_TERM: priors[asked], NUISANCE_TERM: priors[~asked]}
+    whole = sum_of_squares(residuals) or 1.0
+    return tuple(
+        EvidenceTerm(name=name, n=x.size, deviance=(part := sum_of_squares(x)), share=part / whole)
+        for name, x in parts.items()
+        if x.size
+    )
 
 
 def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> RestrictedProblem:
@@ -557,6 +606,16 @@ def evaluate(problem: Problem, theta: Array) -> Evaluation:
     """Residuals of the problem and their derivatives at `theta`, shape ``(n,)``."""
     theta = np.array(theta, dtype=np.float64)
     return _differentiated(problem, theta, _residuals(problem, theta))
+
+
+def thin_svd(matrix: Array) -> tuple[Array, Array, Array]:
+    """Left vectors, singular values and right vectors of a matrix, ``matrix = left size right``.
+
+    By QR iterations. Divide and conquer, numpy's only method, need not converge where some columns
+    are 1e-13 of the others, as those of slack ligaments are.
+    """
+    left, size, right = svd(matrix, full_matrices=False, check_finite=False, lapack_driver="gesvd")
+    return left, size, right
 
 
 def sum_of_squares(residuals: Array) -> float:

@@ -347,7 +347,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
     values = laxity.coordinates[rows]
     measured = ~np.isnan(values)
     parts = [(values[use, j], design[use]) for j, use in enumerate(measured.T) if use.any()]
-    if not rows.size or any(len(x) <= X.shape[1] for x, X in parts):
+    if not parts or any(len(x) <= X.shape[1] for x, X in parts):
         return []
     scales = [_scale(x, X) for x, X in parts]
     spread = np.concatenate([np.full(len(x), s) for (x, _), s in zip(parts, scales, strict=True)])
@@ -487,6 +487,7 @@ def trial_findings(
     code: str,
     *,
     then: tuple[str, Mapping[str, object]] = ("", {}),
+    is_left_out: bool = False,
 ) -> tuple[Finding, ...]:
     """Contradicted trials as findings, the trial's name as where.
 
@@ -500,6 +501,8 @@ def trial_findings(
         ``trial-against-fit`` or ``trial-against-course``.
     then
         What follows without all of them, as a sentence and its values; the last finding has it.
+    is_left_out
+        Whether the result does not rest on them.
     """
     found = []
     for row in rows:
@@ -516,13 +519,17 @@ def trial_findings(
             values[f"off_{COORDINATES[k]}"] = off
 
         chance = f"{row.p_value:.1g}" if row.p_value >= 1e-6 else "less than 1e-06"
+        remedy = (
+            f"It was left out. Check the trial, and keep it with --keep {trial} if it is right."
+            if is_left_out
+            else f"Check the trial, and leave it out with --leave-out {trial} if it is wrong."
+        )
         sentence = (
             f"{trial} is inconsistent with the other trials: under {load} its "
             f"{listed(differences)} than {AGAINST[code]}. The probability of such an outlier "
-            f"among as many trials is {chance}. Check the trial, and leave its cells blank if "
-            "it is wrong."
+            f"among as many trials is {chance}. {remedy}"
         )
-        values |= {"load": load, "p_value": row.p_value}
+        values |= {"load": load, "p_value": row.p_value, "is_left_out": is_left_out}
         if row is rows[-1] and then[0]:
             sentence, values = f"{sentence} {then[0]}", values | {**then[1]}
         found.append(finding(code, trial, values, sentence=sentence))

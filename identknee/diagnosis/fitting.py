@@ -1,6 +1,6 @@
 """Fits of a laxity model to data, without and with causes, as diagnosis compares them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from enum import StrEnum
 
@@ -344,6 +344,16 @@ class BaseFit:
     noise: DataNoise = entry("Errors of the data without nuisances")
 
 
+def with_wider_priors(knee: Knee, parameters: Parameters, names: Iterable[str]) -> Knee:
+    """The knee with the priors of the parameters named so wide that they say next to nothing."""
+    priors = dict(knee.priors)
+    for i in map(parameters.index, names):
+        what = "log_sd" if parameters.is_log[i] else "sd"
+        spread, center = WIDER * float(parameters.prior_sd[i]), float(parameters.center[i])
+        priors[parameters.names[i]] = StatedPrior(**{what: spread, "center": center})
+    return replace(knee, priors=priors)
+
+
 def without_idle_priors(base: BaseFit) -> BaseFit:
     """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
 
@@ -361,15 +371,12 @@ def without_idle_priors(base: BaseFit) -> BaseFit:
     ]
     if not idle:
         return base
-    p, priors, gone = model.parameters, dict(model.knee.priors), np.array(fitted.theta)
+    p, gone = model.parameters, np.array(fitted.theta)
     for owner in idle:
         stiffness, strain = (p.index(f"{owner}.{x}") for x in (STIFFNESS, STRAIN))
         gone[stiffness], gone[strain] = NEARLY_GONE * p.center[stiffness], p.center[strain]
-        for i in (stiffness, strain):
-            what = "log_sd" if p.is_log[i] else "sd"
-            wide = {what: WIDER * float(p.prior_sd[i]), "center": float(p.center[i])}
-            priors[p.names[i]] = StatedPrior(**wide)
-    free = base_model(replace(model.knee, priors=priors), fitted.laxity.protocol)
+    names = [f"{owner}.{x}" for owner in idle for x in (STIFFNESS, STRAIN)]
+    free = base_model(with_wider_priors(model.knee, p, names), fitted.laxity.protocol)
     starts = [fitted.theta, gone]
     found = best_fit_from(free.with_tests(fitted.laxity), fitted.laxity, fitted.noise, starts)
     return BaseFit(fitted=found, noise=base.noise) if found.evaluation.is_finite else base

@@ -21,7 +21,7 @@ from identknee.calibrate.problem import (
     Problem,
     Quantity,
     restricted,
-    with_nuisance_priors,
+    with_priors_of,
     without_priors,
 )
 from identknee.identify.design_criteria import (
@@ -84,7 +84,7 @@ class LinearisedCandidates:
 def linearised(
     problem: Problem, theta: Array, candidates: CandidateTrials
 ) -> tuple[Problem, LinearisedCandidates]:
-    """Problem and candidates linearised at theta, priors of nuisances kept."""
+    """Problem and candidates linearised at theta, priors kept."""
     data = without_priors(problem)
     lines = LinearisedProblem(
         parameters=problem.parameters,
@@ -96,7 +96,7 @@ def linearised(
     offered = LinearisedCandidates(
         names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
     )
-    return with_nuisance_priors(lines), offered
+    return with_priors_of(lines, problem), offered
 
 
 @declared
@@ -570,7 +570,7 @@ def design(
         asked = shared.problem.parameters
         targets = [ParameterQuantity(parameters=asked, name=x.name) for x in targets]
         theta = theta[problem.parameters.is_of_interest]
-        problem, candidates = shared.problem, shared.candidates
+        problem, candidates = with_priors_of(shared.problem, problem), shared.candidates
     if targets:
         quantities, before = tuple(targets), profiles_of(problem, theta, targets)
     else:
@@ -603,7 +603,7 @@ def design(
         measured, _ = candidates.predict(best, chosen)
         whole = WithTrials(problem=problem, candidates=candidates, chosen=chosen, measured=measured)
     else:
-        whole = shared.with_trials(chosen, best)
+        whole = with_priors_of(shared.with_trials(chosen, best), problem)
     after = profiles_of(whole, best, quantities)
     intervals = width.intervals(_stages(along, chosen))
     predicted = [np.where(is_open, np.nan, ends) for ends, is_open in intervals]

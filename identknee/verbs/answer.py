@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
+from identknee.calibrate.problem import EvidenceTerm
 from identknee.identify.optimum import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record
 from identknee.verbs.printer import Printer, printer
+from identknee.verbs.question import Question
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +32,14 @@ class Answer:
     )
     nuisances: tuple[NuisanceEstimate, ...] = entry(
         "What was taken as uncertain, as the best fit leaves it", default=()
+    )
+    question: Question | None = entry(
+        "What was asked of the data: trials, noise, priors, bounds",
+        only="measured data",
+        default=None,
+    )
+    evidence: tuple[EvidenceTerm, ...] = entry(
+        "Terms of the deviance at the best fit", only="measured data", default=()
     )
     findings: tuple[Finding, ...] = entry("Findings: warnings about the result", default=())
     record: Record | None = entry(

@@ -28,6 +28,7 @@ from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.options import option, trials_option
+from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
@@ -150,8 +151,9 @@ def design(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
@@ -166,7 +168,15 @@ def design(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if candidates is None else read_trials(candidates)
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("design", priors),
+    )
     made = setup.laxity.protocol
     protocol = offered_laxity(setup.model, made) if asked is None else asked
     offered = CandidateLaxity(

@@ -27,7 +27,7 @@ from identknee.checks.usable_trials import (
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.data_noise import NoiseSource, noise_of
-from identknee.diagnosis.fitting import Refit, Rival, RivalState
+from identknee.diagnosis.fitting import Refit, Rival, RivalState, with_wider_priors
 from identknee.diagnosis.gain import (
     Assessment,
     ElpdDifference,
@@ -58,7 +58,17 @@ from identknee.subject.insertion_sites import PlaceSide
 from identknee.subject.knee import EffectChoice, Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import with_noise
-from identknee.verbs.options import Candidates, Data, ExtraStart, KneeOptions, Noise, Seed, Subject
+from identknee.verbs.options import (
+    Candidates,
+    Data,
+    DataOptions,
+    ExtraStart,
+    Noise,
+    Priors,
+    Seed,
+    Subject,
+)
+from identknee.verbs.question import has_priors
 from identknee.verbs.values import AdvisedTrial, Trials, advised, trials_of
 from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
@@ -490,14 +500,23 @@ class Comparison:
         then = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
         return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
 
-    def table_findings(self, found: Investigation, whole: Laxity) -> tuple[Finding, ...]:
-        """The rows that the table contradicts, left out of `found`, with the verdict with them."""
-        rows = suspicious_end_points(whole)
+    def table_findings(
+        self, found: Investigation, contradicted: Sequence[str], whole: Laxity
+    ) -> tuple[Finding, ...]:
+        """The trials that the table contradicts, left out of `found`, with the verdict with them.
+
+        `whole` has these trials beside those of `found`.
+        """
+        rows = [
+            x
+            for x in suspicious_end_points(whole)
+            if whole.protocol.trials[x.trial] in contradicted
+        ]
         if not rows:
             return ()
         it = "it" if len(rows) == 1 else "them"
-        then = self._verdict(whole, found, f"The diagnosis leaves {it} out; with {it}")
-        return trial_findings(rows, whole, "trial-against-course", then=then)
+        then = self._verdict(whole, found, f"With {it}")
+        return trial_findings(rows, whole, "trial-against-course", then=then, is_left_out=True)
 
     def _verdict(
         self, laxity: Laxity, found: Investigation, start: str
@@ -514,19 +533,6 @@ class Comparison:
         why = " ".join(rest.conclusion.reasons)
         values: dict[str, object] = {"verdict": verdict, "causes": causes}
         return f"{start} the verdict is {still}{verdict}{names}. {why}", values
-
-
-def without_contradictory_trials(laxity: Laxity) -> Laxity:
-    """The data without contradictory trials, found without a model."""
-    return without_rows(laxity, suspicious_end_points(laxity))
-
-
-def with_contradictory_trials(part: Laxity, laxity: Laxity) -> Laxity:
-    """Some trials of the data, and those that the table contradicts."""
-    coordinates = np.array(part.coordinates)
-    rows = [x.trial for x in suspicious_end_points(laxity)]
-    coordinates[rows] = laxity.coordinates[rows]
-    return replace(part, coordinates=coordinates)
 
 
 def implausible_explanation(found: Investigation) -> tuple[Finding, ...]:
@@ -586,8 +592,9 @@ def diagnose_data(
     noise: Noise = None,
     start: ExtraStart = "subject",
     effects: Candidates = None,
+    priors: Priors = None,
     seed: Seed = 0,
-    **_: Unpack[KneeOptions],
+    **_: Unpack[DataOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
     laxity = with_noise(data, noise)
@@ -596,10 +603,12 @@ def diagnose_data(
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
-    checked = without_contradictory_trials(laxity)
-    knee, used = knee_with_equilibria(subject, checked, start)
+    if not has_priors("diagnose", priors):
+        asked = model.parameters.names_of_interest
+        subject = with_wider_priors(subject, model.parameters, asked)
+    knee, used = knee_with_equilibria(subject, laxity, start)
     kept = used.laxity
-    lost = excluded_trial_findings(subject, checked, kept)
+    lost = excluded_trial_findings(subject, laxity, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
@@ -627,7 +636,7 @@ def diagnose_data(
         findings=without_repeats(
             (
                 *lost,
-                *compared.table_findings(found, with_contradictory_trials(kept, laxity)),
+                *_contradicted(run, kept, compared, found),
                 *compared.row_findings(found),
                 *implausible_explanation(found),
                 *answer.findings,
@@ -654,6 +663,25 @@ def diagnose_data(
                 run.out / ADVICE,
             )
     return answer
+
+
+def _contradicted(
+    run: Run, kept: Laxity, compared: Comparison, found: Investigation
+) -> tuple[Finding, ...]:
+    """The trials that the table contradicts, with the verdict with them beside those kept."""
+    if run.trials is None or not run.trials.contradicted:
+        return ()
+    rows = np.isin(kept.protocol.trials, run.trials.contradicted)
+    given = np.where(rows[:, None], run.trials.given.coordinates, kept.coordinates)
+    sd = None
+    if kept.sd is not None:
+        of_kind = np.nanmedian(kept.sd, axis=0)
+        sd = np.where(rows[:, None] & ~np.isnan(given), of_kind, kept.sd)
+        if run.trials.given.sd is not None:
+            stated = run.trials.given.sd
+            sd = np.where(rows[:, None] & ~np.isnan(stated), stated, sd)
+    whole = replace(kept, coordinates=given, sd=sd)
+    return compared.table_findings(found, run.trials.contradicted, whole)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:

@@ -17,17 +17,16 @@ from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.progress import planned
-from identknee.runs.record import Outcome
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
     Identification,
-    check_start,
+    best_fits,
     identification,
-    no_prediction,
 )
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option, trials_option
+from identknee.verbs.question import has_priors
 from identknee.verbs.values import BoundsLike, bounds_of, check_word
 from identknee.verbs.verb import Run, verb
 
@@ -108,8 +107,9 @@ def equivalents(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Equivalents:
     """Parameter sets that the data cannot distinguish, as different as possible.
 
@@ -128,14 +128,22 @@ def equivalents(
     check_word("--criterion", criterion, get_args(Criterion))
     check_word("--forces", forces, get_args(Forces))
     asked = None if trials is None else read_trials(trials)
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    setup = marginalise_nuisances(setup, seed=seed, executor=run.executor)[0]
-    check_start(setup)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("equivalents", priors),
+    )
+    setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
+    fits = fits or best_fits(setup, seed=seed, executor=run.executor)
     quantities = _forces(setup, forces, asked)
     run.start_clock()
-    best = fit(setup.problem, setup.start)
-    if best.outcome is Outcome.START_FAILED:
-        raise no_prediction(setup)
+    # Marginalised nuisances move the optimum a little.
+    is_asked = fits[0].parameters.is_of_interest
+    best = fit(setup.problem, fits[0].theta[is_asked])
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
     n, q = setup.problem.parameters.n, len(quantities)
     description = f"finding the ranges of {n} parameters and {q} ligament forces"

@@ -1,6 +1,5 @@
 """One parameter set fitted from one start, with findings."""
 
-import fnmatch
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,7 +10,14 @@ from scipy.special import stdtrit
 
 from identknee.calibrate.fit import DEGREES, Fit, fit_student, load_start, student_scales
 from identknee.calibrate.fit import fit as search
-from identknee.calibrate.problem import ROUNDING, Problem, evaluate, typical_steps
+from identknee.calibrate.problem import (
+    ROUNDING,
+    Problem,
+    evaluate,
+    evidence_terms,
+    typical_steps,
+    with_all_priors,
+)
 from identknee.checks.fit_checks import (
     APART,
     AS_GOOD,
@@ -24,6 +30,7 @@ from identknee.checks.fit_checks import (
     too_few_findings,
     unstated_misfit_findings,
 )
+from identknee.checks.left_out_trials import named_trials
 from identknee.checks.usable_trials import (
     TrialSearch,
     TrialSelection,
@@ -64,7 +71,6 @@ from identknee.runs.declare import (
     derived,
     entry,
 )
-from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
@@ -72,12 +78,12 @@ from identknee.subject.knee import Knee
 from identknee.verbs import options
 from identknee.verbs.identification import BRIEF, with_noise
 from identknee.verbs.options import option
+from identknee.verbs.question import has_priors
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
 from identknee.verbs.verb import Run, verb, warm_up
 
 LEVEL = 0.9
-MOST_NAMED = 6
 ROUNDS = 20
 
 
@@ -154,16 +160,7 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
             "--hold-out predicts absolute coordinates, and those of the table count from the zero "
             f"{laxity.zero}; leave cells blank instead"
         )
-    trials = laxity.protocol.trials
-    held = np.zeros(laxity.n, bool)
-    for name in held_out:
-        own = np.array([fnmatch.fnmatchcase(x, name) for x in trials])
-        if not own.any():
-            raise ValueError(
-                f"--hold-out {name}: there is no such trial. "
-                f"{suggestion(name, trials, most=MOST_NAMED)}"
-            )
-        held |= own
+    held = named_trials(laxity, held_out, "--hold-out")
     if not (laxity.is_measured.any(axis=1) & ~held).any():
         raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
     blank = np.where(held[:, None], np.nan, laxity.coordinates)
@@ -422,13 +419,7 @@ def fit(
             "that values far off count little."
         ),
     ] = "normal",
-    priors: Annotated[
-        bool,
-        option(
-            "Use the priors of the parameters. With unit weighting the errors are taken as 1 mm "
-            "and 1 deg."
-        ),
-    ] = False,
+    priors: options.Priors = None,
     fixed: Annotated[
         Sequence[str] | None,
         option(
@@ -458,7 +449,7 @@ def fit(
     ] = N_STARTS,
     continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity: the lowest end of a few searches.
 
@@ -486,7 +477,8 @@ def fit(
     theta = load_start(start, trials.problem(laxity).parameters)
     warm_up(subject, laxity.protocol)
     run.start_clock()
-    plain = partial(search, method=method, seed=seed, budget=budget, priors=priors)
+    is_with_priors = has_priors("fit", priors)
+    plain = partial(search, method=method, seed=seed, budget=budget, priors=is_with_priors)
     is_robust = likelihood == "student"
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
@@ -525,6 +517,9 @@ def fit(
         origin=_origin(fits[0], used.start),
         optima=_optima(fits, _scale(trials, used.laxity, found)),
         held_out=held,
+        evidence=evidence_terms(
+            with_all_priors(problem) if is_with_priors else problem, found.theta
+        ),
         assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),

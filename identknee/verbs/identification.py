@@ -8,10 +8,13 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
+    LIGAMENT_TERM,
     Problem,
     RestrictedProblem,
     WhitenedResiduals,
+    evidence_terms,
     restricted,
+    with_all_priors,
     with_bounds,
     with_nuisance_priors,
 )
@@ -121,6 +124,10 @@ class Identification:
         """
         theta, parameters = np.asarray(theta), self.problem.parameters
         whole = self.free.expand(theta)
+        if not is_draw:
+            # A ligament far from its prior is no misfit of the model.
+            terms = evidence_terms(self.problem, theta)
+            deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
@@ -154,6 +161,7 @@ class Identification:
         nuisances = nuisance_estimates(problem, best)
         return {
             "trials_used": self.trials_used,
+            "evidence": evidence_terms(problem, best),
             "uncertainty": self.knee.uncertainty.words,
             "nuisances": nuisances,
         }
@@ -182,6 +190,7 @@ def identification(
     start: str = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
+    priors: bool = False,
 ) -> Identification:
     """A knee and its laxity, checked and compared in units of the noise.
 
@@ -198,6 +207,8 @@ def identification(
         Names of parameters held at the start.
     bounds
         Lower and upper bound by parameter name, or texts such as ``ACL.stiffness_kN=5:15``.
+    priors
+        Whether the priors of ligament parameters count, beside those of nuisances.
 
     Raises
     ------
@@ -238,10 +249,11 @@ def identification(
             )
         residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
     part = restricted(with_bounds(residuals, limits), fixed or (), theta)
-    problem = everywhere = with_nuisance_priors(part)
+    with_its_priors = with_all_priors if priors else with_nuisance_priors
+    problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
         searched = with_bounds(defined_everywhere(residuals), limits)
-        everywhere = with_nuisance_priors(restricted(searched, fixed or (), theta))
+        everywhere = with_its_priors(restricted(searched, fixed or (), theta))
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
@@ -249,13 +261,14 @@ def identification(
     assumptions = [*said, *_data_findings(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
-        problem, degrees = estimate.problem, estimate.degrees_of_freedom
+        problem = with_all_priors(estimate.problem) if priors else estimate.problem
+        degrees = estimate.degrees_of_freedom
         everywhere = problem
         if begins_at_poses:
             inner = restricted(searched, fixed or (), theta)
             sds = np.array(sizes, float)[residuals.units]
             sds = np.r_[sds, np.full(laxity.n, sds.min())]
-            everywhere = with_nuisance_priors(WhitenedResiduals(problem=inner, sd=sds))
+            everywhere = with_its_priors(WhitenedResiduals(problem=inner, sd=sds))
         shown = ", ".join(
             f"{sd:.3g} {unit}"
             for sd, unit in zip(sizes, ("mm", "deg"), strict=True)

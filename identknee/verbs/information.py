@@ -18,6 +18,7 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option
+from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 
@@ -65,8 +66,9 @@ def information(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> LocalIdentifiability:
     """Which combinations of parameters the data determine around the best fit, and how well.
 
@@ -82,7 +84,15 @@ def information(
     NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("information", priors),
+    )
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import BoundedProblem, restricted
+from identknee.calibrate.problem import BoundedProblem, restricted, with_priors_of
 from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
@@ -73,7 +73,7 @@ def _about(setup: Identification, best: Array) -> Identification:
         f"{setup.problem.parameters.n - len(asked)} stated errors were marginalised to first "
         f"order at the best fit, which predictions use. {_nonlinearity(setup, residuals, theta)}"
     )
-    problem = restricted(bounded, fixed, kept.restrict(theta))
+    problem = with_priors_of(restricted(bounded, fixed, kept.restrict(theta)), setup.problem)
     return replace(
         setup,
         problem=problem,

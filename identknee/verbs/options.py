@@ -175,6 +175,30 @@ Bounds = Annotated[
         typed=list[str] | None,
     ),
 ]
+Keep = Annotated[
+    Sequence[str] | None,
+    option(
+        "Keep this trial although the table contradicts it. * stands for any letters.",
+        in_python="A list of names.",
+        metavar="TRIAL",
+    ),
+]
+LeaveOut = Annotated[
+    Sequence[str] | None,
+    option(
+        "Leave this trial out. Trials that the table contradicts are left out anyway: see "
+        "{--keep}.",
+        in_python="A list of names.",
+        metavar="TRIAL",
+    ),
+]
+Priors = Annotated[
+    bool | None,
+    option(
+        "Use the priors of ligament parameters, or only their bounds. If not given: sample and "
+        "diagnose use them, all others do not.",
+    ),
+]
 Level = Annotated[float, option("Confidence level of the intervals, such as 0.95.")]
 Method = Annotated[
     str,
@@ -231,6 +255,13 @@ class KneeOptions(RunOptions, total=False):
     """Options of a run, and how well the subject is known."""
 
     uncertain: Uncertain
+
+
+class DataOptions(KneeOptions, total=False):
+    """Options of a run on data: also which trials count; see `Run.trials`."""
+
+    keep: Keep
+    leave_out: LeaveOut
 
 
 def trials_option(text: str, flag: str = "") -> Option:

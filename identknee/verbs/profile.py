@@ -26,6 +26,7 @@ from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.options import option, trials_option
+from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]
@@ -147,8 +148,9 @@ def profile(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Profiles:
     """Which values of each parameter, or of any prediction, the data allow.
 
@@ -163,7 +165,15 @@ def profile(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if trials is None else read_trials(trials)
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("profile", priors),
+    )
     if bootstrap and setup.degrees_of_freedom is not None:
         raise ValueError(
             "--bootstrap simulates noise of a stated size; state it with --noise, for example "

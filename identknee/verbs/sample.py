@@ -8,7 +8,8 @@ from typing import Annotated, Any, Unpack
 
 import numpy as np
 
-from identknee.identify.posterior.density import InfeasiblePriorMass
+from identknee.calibrate.problem import EvidenceTerm, Problem, evidence_terms
+from identknee.identify.posterior.density import InfeasiblePriorMass, with_uniform_priors
 from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
     Posterior,
@@ -30,8 +31,14 @@ from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import Identification, identification, no_prediction_finding
+from identknee.verbs.identification import (
+    Identification,
+    best_fits,
+    identification,
+    no_prediction_finding,
+)
 from identknee.verbs.options import option
+from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 N_PREDICTIONS = 400
@@ -434,8 +441,7 @@ def sample(
     basins: Annotated[
         PathLike | None,
         option(
-            "The result.json of a sweep. Walkers then start in its basins; otherwise around fits "
-            "that start from draws of the prior.",
+            "The result.json of a sweep. Walkers then start in its basins; otherwise around fits.",
             metavar="FILE",
             typed=Path | None,
         ),
@@ -467,8 +473,9 @@ def sample(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 
@@ -483,11 +490,24 @@ def sample(
     ModuleNotFoundError
         If dynesty is wanted and not installed.
     """
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
-    optima = None if basins is None else _optima(Path(basins), setup.problem.parameters)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("sample", priors),
+    )
+    problem: Problem = setup.problem
+    if not has_priors("sample", priors):
+        problem = with_uniform_priors(problem)
+    optima = None if basins is None else _optima(Path(basins), problem.parameters)
     run.start_clock()
+    if optima is None and setup.model.poses is not None:
+        optima = _fitted_optima(run, setup, n_ensembles, seed)
     posterior = sampled(
-        setup.problem,
+        problem,
         optima=optima,
         ensembles=Ensembles(n_ensembles=n_ensembles, moves=moves),
         rule=StopRule(budget=budget),
@@ -506,6 +526,7 @@ def sample(
         assumptions=(*setup.assumptions, *_noise_findings(setup)),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
+        evidence=_evidence(setup, posterior) if is_begun else (),
         findings=_findings(setup, posterior),
     )
 
@@ -556,6 +577,16 @@ def _optima(path: Path, parameters: Parameters) -> Array:
     return np.array(thetas)
 
 
+def _fitted_optima(run: Run, setup: Identification, n: int, seed: int) -> Array:
+    """The lowest ends of fits at which every trial has an equilibrium, shape ``(k, p)``.
+
+    Hardly a draw of the priors has one in every trial where the knee begins at measured poses.
+    """
+    fits = best_fits(setup, seed=seed, executor=run.executor)
+    whole = [x for x in fits if np.isfinite(setup.problem.residuals(x.theta)).all()]
+    return np.array([x.theta for x in whole[:n]])
+
+
 def _noise_findings(setup: Identification) -> tuple[str, ...]:
     if setup.degrees_of_freedom is None:
         return ()
@@ -565,7 +596,17 @@ def _noise_findings(setup: Identification) -> tuple[str, ...]:
 def _findings(setup: Identification, posterior: Posterior) -> tuple[Finding, ...]:
     if not posterior.checks:
         return (no_prediction_finding(setup),)
+    theta, deviance = _likeliest(posterior)
+    return setup.findings_at(theta, deviance, is_draw=True)
+
+
+def _evidence(setup: Identification, posterior: Posterior) -> tuple[EvidenceTerm, ...]:
+    """Terms of the deviance at the draw of largest likelihood."""
+    return evidence_terms(setup.problem, _likeliest(posterior)[0])
+
+
+def _likeliest(posterior: Posterior) -> tuple[Array, float]:
+    """The draw of largest likelihood, and its deviance."""
     best = int(np.argmax(posterior.kept_log_likelihood))
     deviance = -2.0 * float(posterior.kept_log_likelihood.ravel()[best])
-    theta = posterior.kept.reshape(-1, posterior.kept.shape[-1])[best]
-    return setup.findings_at(theta, deviance, is_draw=True)
+    return posterior.kept.reshape(-1, posterior.kept.shape[-1])[best], deviance

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Unpack
 import numpy as np
 
 from identknee.calibrate.fit import BUDGET, Fit
+from identknee.calibrate.problem import evidence_terms
 from identknee.checks.fit_checks import SAME, start_findings
 from identknee.identify.cliffs import CliffMap, map_cliffs
 from identknee.identify.sweep import (
@@ -34,6 +35,7 @@ from identknee.verbs.identification import (
     no_prediction_finding,
 )
 from identknee.verbs.options import option
+from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]
@@ -119,8 +121,9 @@ def sweep(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
+    priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.KneeOptions],
+    **_: Unpack[options.DataOptions],
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 
@@ -135,7 +138,15 @@ def sweep(
         If an argument or a file is wrong; the message says what to do. That no search has a
         prediction is no error: the answer says it in `failure`.
     """
-    setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
+    setup = identification(
+        subject,
+        data,
+        noise=noise,
+        start=start,
+        fixed=fixed,
+        bounds=bounds,
+        priors=has_priors("sweep", priors),
+    )
     parameters = setup.problem.parameters
     if design == "sobol":
         starts = sobol_starts(parameters, n_starts, seed=seed)
@@ -182,6 +193,7 @@ def sweep(
         assumptions=setup.assumptions,
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
+        evidence=() if survey.target is None else evidence_terms(setup.problem, survey.target),
         findings=_findings(setup, survey),
     )
 

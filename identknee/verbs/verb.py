@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 from typing import Protocol as TypedProtocol
 
+from identknee.checks.left_out_trials import TrialsAsked, trials_asked
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, read_laxity
@@ -17,6 +18,7 @@ from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
 from identknee.runs.files import digest, prepare_folder
+from identknee.runs.findings import without_repeats
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
@@ -25,6 +27,7 @@ from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import explained, parameters_in_full
+from identknee.verbs.question import question
 
 
 def knee_digest(knee: Knee) -> str:
@@ -80,11 +83,14 @@ class Run:
         Folder of the results; None where nothing is written.
     deciding
         All that the results depend on.
+    trials
+        The trials of the data that are asked about; None for a verb without data.
     """
 
     workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
+    trials: TrialsAsked | None = None
     _stack: ExitStack
     _executor: Executor | None = None
     _store: Store | None = None
@@ -193,6 +199,13 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
         with one_library_thread(), _run(function, bound.arguments) as (run, read, recording):
             run.start_clock()
             result = function(run, **bound.arguments | read)
+            if run.trials is not None:
+                name, _ = _name_and_secret(function)
+                result = replace(
+                    result,
+                    question=question(name, read["subject"], run.trials, bound.arguments),
+                    findings=without_repeats((*result.findings, *run.trials.findings)),
+                )
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.
@@ -236,7 +249,7 @@ def _run(
     function: Callable[..., Any], arguments: Mapping[str, Any]
 ) -> Iterator[tuple[Run, Mapping[str, Any], Any]]:
     """The run, the arguments that were read from files, and the recording."""
-    name, secret = getattr(function, RECORDED, (function.__name__, frozenset()))
+    name, secret = _name_and_secret(function)
     beside = NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
@@ -248,6 +261,14 @@ def _run(
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
+    asked = None
+    if "leave_out" in arguments:
+        named = {k: arguments[k] or () for k in ("keep", "leave_out")}
+        if laxity is not None:
+            asked = trials_asked(laxity, **named)
+            laxity = asked.laxity
+        elif any(named.values()):
+            raise ValueError("--keep and --leave-out name trials of DATA.csv; give it")
     read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, data)
     settings = {key: _setting(x) for key, x in arguments.items()}
@@ -260,9 +281,18 @@ def _run(
             workers=workers,
             out=folder,
             deciding={"verb": name, "inputs": inputs, **deciding},
+            trials=asked,
             _stack=stack,
         )
         yield run, read, recording
+
+
+def _name_and_secret(function: Callable[..., Any]) -> tuple[str, frozenset[str]]:
+    """The verb's name in its record, and the arguments that are left out of it."""
+    named: tuple[str, frozenset[str]] = getattr(
+        function, RECORDED, (function.__name__, frozenset())
+    )
+    return named
 
 
 def _needs_data(function: Callable[..., Any]) -> bool:

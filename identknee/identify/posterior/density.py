@@ -1,14 +1,25 @@
 """The posterior density of the parameters, in their own units and in those it is sampled in."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import ndtr, ndtri
 from typing_extensions import override
 
-from identknee.calibrate.problem import Evaluation, Problem, evaluate, without_priors
+from identknee.calibrate.problem import (
+    BoundedProblem,
+    Evaluation,
+    Problem,
+    evaluate,
+    without_priors,
+)
 from identknee.identify.binomial_interval import share
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, entry
+
+# Standard deviation, in distances of the bounds, of a normal prior that is uniform to 0.1 %.
+FLAT = 10.0
 
 
 @declared
@@ -54,6 +65,24 @@ class LogPosterior:
         if not np.isfinite(prior):
             return -np.inf
         return prior - 0.5 * evaluate(self.problem, theta).deviance
+
+
+def with_uniform_priors(problem: Problem) -> Problem:
+    """The problem with all values of a parameter of interest within its bounds as likely.
+
+    Such a prior is a normal one of ten times their distance, which falls by 0.1 % to the bounds.
+    Nuisances keep theirs.
+    """
+    p = problem.parameters
+    asked = p.is_of_interest
+    parameters = replace(
+        p,
+        center=np.where(asked, 0.5 * (p.lower + p.upper), p.center),
+        prior_sd=np.where(asked, FLAT * (p.upper - p.lower), p.prior_sd),
+        is_log=p.is_log & ~asked,
+        own=p.start,
+    )
+    return BoundedProblem(problem=without_priors(problem), parameters=parameters)
 
 
 def log_prior(theta: Array, parameters: Parameters) -> Array:

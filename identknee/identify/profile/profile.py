@@ -22,6 +22,7 @@ from identknee.calibrate.problem import (
     Quantity,
     conditional_sds,
     evaluate,
+    thin_svd,
     typical_steps,
 )
 from identknee.identify.profile.result import (
@@ -446,7 +447,7 @@ def _is_structurally_flat(walk: ProfileContext, origin: ProfilePoint) -> bool:
     gradient = walk.quantity.evaluate(origin.evaluation.theta)[1] * scales
     matrix = origin.evaluation.jacobian * scales
     padded = np.vstack([matrix, np.zeros((matrix.shape[1], matrix.shape[1]))])
-    _, values, directions = np.linalg.svd(padded, full_matrices=False)
+    _, values, directions = thin_svd(padded)
     unseen = directions[values <= UNSEEN_TOLERANCE * max(values[0], 1e-300)] @ gradient
     return bool(np.linalg.norm(unseen) > UNSEEN * np.linalg.norm(gradient))
 

@@ -20,6 +20,7 @@ from identknee.calibrate.problem import (
     Quantity,
     SearchEnded,
     conditional_sds,
+    thin_svd,
 )
 from identknee.identify.profile.result import Side, SideStatus, crossings
 from identknee.runs.arrays import Array, BoolArray
@@ -132,10 +133,8 @@ def _points_around(
             plane = normal, target - value
             basis = np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]
     center = bounded_step(matrix, at.residuals, bounds, plane).step
-    _, sizes, directions = np.linalg.svd(
-        np.vstack([matrix @ basis, np.zeros((basis.shape[1], basis.shape[1]))]),
-        full_matrices=False,
-    )
+    padded = np.vstack([matrix @ basis, np.zeros((basis.shape[1], basis.shape[1]))])
+    _, sizes, directions = thin_svd(padded)
     spread = basis @ (directions.T / np.maximum(sizes, LEAST_SIZE))
     draws = np.random.default_rng(SEED).standard_normal((N_TRIED, basis.shape[1]))
     draws /= np.maximum(np.linalg.norm(draws, axis=1, keepdims=True), 1e-300)

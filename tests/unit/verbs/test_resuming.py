@@ -57,6 +57,10 @@ def changed(name: str, value: Any) -> Any:
         return OTHER
     if name == "uncertain":
         return "insertions=1mm"
+    if name in ("keep", "leave_out"):
+        return [LAXITY.protocol.trials[0]]
+    if name == "priors":
+        return True
     if isinstance(value, bool):
         return not value
     if isinstance(value, int | float):
@@ -75,6 +79,8 @@ def test_another_value_of_an_option_is_another_work(verb: str, option: str, tmp_
     """All options of all verbs, but those that cannot change a number."""
     function = function_of(verb).__wrapped__  # type: ignore[attr-defined]
     before = arguments_of(verb) | {"out": tmp_path}
+    if option in ("keep", "leave_out"):
+        before |= {"data": LAXITY}
     after = before | {option: changed(option, before[option])}
     if option == "out":
         after = before

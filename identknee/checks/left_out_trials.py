@@ -1,0 +1,113 @@
+"""Which trials of a table are asked about: all but those left out by name or by the table itself.
+
+A trial that is off the course over flexion that all others have is left out before anything is
+fitted, in every verb alike. `keep` keeps it, `leave_out` leaves out others.
+"""
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.checks.table_checks import suspicious_end_points, trial_findings
+from identknee.laxity.table import Laxity
+from identknee.runs.arrays import BoolArray
+from identknee.runs.declare import declared, entry
+from identknee.runs.errors import suggestion
+from identknee.runs.findings import Finding, finding
+
+MOST_NAMED = 6
+
+
+@declared
+class TrialsAsked:
+    """The trials of a table that a verb asks about, and those that were left out."""
+
+    given: Laxity = entry("The data as they were given")
+    laxity: Laxity = entry("The data, cells of trials left out blank")
+    by_name: tuple[str, ...] = entry("Trials left out because they were named")
+    contradicted: tuple[str, ...] = entry("Trials left out because the table contradicts them")
+    findings: tuple[Finding, ...] = entry("Both as findings")
+
+    @property
+    def with_contradicted(self) -> Laxity:
+        """The data with the trials that the table contradicts."""
+        rows = np.isin(self.given.protocol.trials, self.contradicted)
+        coordinates = np.array(self.laxity.coordinates)
+        coordinates[rows] = self.given.coordinates[rows]
+        return replace(self.laxity, coordinates=coordinates)
+
+
+def trials_asked(
+    laxity: Laxity, *, keep: Sequence[str] = (), leave_out: Sequence[str] = ()
+) -> TrialsAsked:
+    """The trials of a table that a verb asks about.
+
+    Parameters
+    ----------
+    laxity
+        The data.
+    keep
+        Names of trials to keep although the table contradicts them; ``*`` stands for any letters.
+    leave_out
+        Names of trials to leave out.
+
+    Raises
+    ------
+    ValueError
+        If no trial is called so, one is named in both, or none is left.
+    """
+    trials = laxity.protocol.trials
+    is_kept = named_trials(laxity, keep, "--keep")
+    is_named = named_trials(laxity, leave_out, "--leave-out")
+    if (is_both := is_kept & is_named).any():
+        name = trials[int(np.flatnonzero(is_both)[0])]
+        raise ValueError(f"{name} is named in --keep and in --leave-out; name it in one of them")
+    without = _blank(laxity, is_named)
+    rows = [x for x in suspicious_end_points(without) if not is_kept[x.trial]]
+    is_off = np.isin(np.arange(laxity.n), [x.trial for x in rows])
+    left = _blank(without, is_off)
+    if laxity.is_measured.any() and not left.is_measured.any():
+        raise ValueError("--leave-out leaves no measured trial; leave out fewer")
+    return TrialsAsked(
+        given=laxity,
+        laxity=left,
+        by_name=tuple(np.array(trials, object)[is_named]),
+        contradicted=tuple(np.array(trials, object)[is_off]),
+        findings=(
+            *trial_findings(rows, without, "trial-against-course", is_left_out=True),
+            *(
+                finding("trial-left-out", trials[i], {"trial": trials[i]})
+                for i in np.flatnonzero(is_named)
+            ),
+        ),
+    )
+
+
+def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:
+    """Which trials are called so, shape ``(n,)``; ``*`` in a name stands for any letters.
+
+    Raises
+    ------
+    ValueError
+        If none is.
+    """
+    trials = laxity.protocol.trials
+    found = np.zeros(laxity.n, bool)
+    for name in names:
+        own = np.array([fnmatch.fnmatchcase(x, name) for x in trials], bool)
+        if not own.any():
+            raise ValueError(
+                f"{flag} {name}: there is no such trial. "
+                f"{suggestion(name, trials, most=MOST_NAMED)}"
+            )
+        found |= own
+    return found
+
+
+def _blank(laxity: Laxity, rows: BoolArray) -> Laxity:
+    if not rows.any():
+        return laxity
+    blank = np.where(rows[:, None], np.nan, laxity.coordinates)
+    return replace(laxity, coordinates=blank)

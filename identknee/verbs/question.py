@@ -1,0 +1,109 @@
+"""What a verb was asked: of which trials, in units of which noise, with which priors and bounds.
+
+Two answers can be compared where they were asked the same; where not, `differences` says in what.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from identknee.checks.left_out_trials import TrialsAsked
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
+from identknee.runs.declare import declared, entry
+from identknee.subject.knee import Knee
+from identknee.verbs.values import bounds_of, noise_of
+
+# Verbs that weigh probabilities, which need a density of every parameter; others ask the data
+# alone. Written here once for all.
+WITH_PRIORS = frozenset({"sample", "diagnose"})
+# Shares of a standard deviation that are no other noise.
+ALIKE = 1e-6
+
+
+@declared
+class Question:
+    """What an answer is an answer to, beside the knee and the data."""
+
+    trials: tuple[str, ...] = entry("Trials with measured values that were asked about")
+    left_out_by_name: tuple[str, ...] = entry("Trials left out because they were named")
+    contradicted: tuple[str, ...] = entry("Trials left out because the table contradicts them")
+    weighting: str = entry(
+        "Unit of the residuals: noise (stated), estimated (a noise found from the fit), or unit "
+        "(1 mm and 1 deg)"
+    )
+    noise_mm: float | None = entry(
+        "Standard deviation of lengths, the median of those stated; null where none is", unit="mm"
+    )
+    noise_deg: float | None = entry("Standard deviation of angles, likewise", unit="deg")
+    priors: bool = entry("Whether the priors of ligament parameters count")
+    fixed: tuple[str, ...] = entry("Parameters held at the start")
+    bounds: Mapping[str, tuple[float, float]] = entry("Bounds that were stated, by parameter")
+    uncertainty: Mapping[str, str] = entry("What of knee and tests was taken as uncertain")
+
+    def differences(self, other: "Question") -> tuple[str, ...]:
+        """In what another question differs, as the names of fields in words."""
+        return tuple(
+            name.replace("_", " ")
+            for name in (
+                "trials",
+                "weighting",
+                "noise_mm",
+                "noise_deg",
+                "priors",
+                "fixed",
+                "bounds",
+                "uncertainty",
+            )
+            if not _is_alike(getattr(self, name), getattr(other, name))
+        )
+
+
+def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, Any]) -> Question:
+    """The question that the arguments of a verb ask of a knee and of trials."""
+    laxity = asked.laxity
+    weighting = _weighting(laxity, arguments)
+    mm, deg = _noise(laxity, arguments.get("noise"))
+    priors = arguments.get("priors")
+    return Question(
+        trials=tuple(np.array(laxity.protocol.trials, object)[laxity.is_measured.any(axis=1)]),
+        left_out_by_name=asked.by_name,
+        contradicted=asked.contradicted,
+        weighting=weighting,
+        noise_mm=mm if weighting == "noise" else None,
+        noise_deg=deg if weighting == "noise" else None,
+        priors=has_priors(verb, priors),
+        fixed=tuple(arguments.get("fixed") or ()),
+        bounds={**knee.bounds, **bounds_of(arguments.get("bounds"))},
+        uncertainty=knee.uncertainty.words,
+    )
+
+
+def has_priors(verb: str, asked: bool | None) -> bool:  # noqa: FBT001 - as the option has it
+    """Whether priors of ligament parameters count: as asked, or as the verb has it by default."""
+    return verb in WITH_PRIORS if asked is None else asked
+
+
+def _weighting(laxity: Laxity, arguments: Mapping[str, Any]) -> str:
+    if arguments.get("noise") is not None:
+        return "noise"
+    if "weighting" in arguments:
+        return str(arguments["weighting"])
+    return "estimated" if laxity.sd is None else "noise"
+
+
+def _noise(laxity: Laxity, noise: Any) -> Sequence[float | None]:
+    """Standard deviations of lengths and angles [mm, deg], where they are stated."""
+    if noise is not None:
+        return noise_of(noise)
+    if laxity.sd is None:
+        return None, None
+    parts = (laxity.sd[:, x] for x in (TRANSLATIONS, ROTATIONS))
+    known = (x[~np.isnan(x)] for x in parts)
+    return [float(np.median(x)) if x.size else None for x in known]
+
+
+def _is_alike(value: Any, other: Any) -> bool:
+    if isinstance(value, float) and isinstance(other, float):
+        return abs(value - other) <= ALIKE * abs(value)
+    return bool(value == other)
