@@ -34,6 +34,7 @@ MODULES = {
     "blind_axes": "verify_blind_axes",
     "verdicts": "verify_verdicts",
     "measured_knee": "verify_measured_knee",
+    "priors": "verify_priors",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
