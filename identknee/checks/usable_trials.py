@@ -320,7 +320,7 @@ def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
     blank = [x for x in laxity.protocol.trials if x not in known]
     if blank:
         are = "it is" if len(blank) == 1 else "they are"
-        said.append(f"No value was measured in {', '.join(blank)}: {are} only predicted.")
+        said.append(f"No value of {', '.join(blank)} was used: {are} only predicted.")
     return tuple(said)
 
 

@@ -22,6 +22,7 @@ from identknee.report.presenter import (
     presenter_of,
     statements_of,
 )
+from identknee.report.questions import question_sentences
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
@@ -353,6 +354,9 @@ class Overview:
     rows: tuple[Row, ...] = entry("Parameters, then forces")
     reasons: str = entry("Why methods differ, in one line; empty where they do not")
     searches: tuple[str, ...] = entry("Sentences of fits and searches")
+    questions: tuple[str, ...] = entry(
+        "Which answers are out of date, and which were asked something else"
+    )
     next_tests: tuple[str, ...] = entry("Tests to do, each with what it would bring")
 
 
@@ -379,6 +383,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
         rows=rows,
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
+        questions=tuple(question_sentences(answers)),
         next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
     )
 

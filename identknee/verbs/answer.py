@@ -53,6 +53,11 @@ class Answer:
         return invalidating(self.findings)
 
     @property
+    def best_deviance(self) -> float:
+        """Deviance of the best fit that the answer rests on; infinite where it has none."""
+        return sum(x.deviance for x in self.evidence) if self.evidence else float("inf")
+
+    @property
     def refuses_input(self) -> bool:
         """Whether the answer is that the input cannot be used."""
         return False

@@ -19,6 +19,17 @@ from identknee.verbs.values import bounds_of, noise_of
 WITH_PRIORS = frozenset({"sample", "diagnose"})
 # Shares of a standard deviation that are no other noise.
 ALIKE = 1e-6
+# What two questions can differ in.
+IN_WORDS = {
+    "trials": "trials",
+    "weighting": "weighting",
+    "noise_mm": "noise of lengths",
+    "noise_deg": "noise of angles",
+    "priors": "priors of ligament parameters",
+    "fixed": "fixed parameters",
+    "bounds": "bounds",
+    "uncertainty": "uncertainty of knee and tests",
+}
 
 
 @declared
@@ -42,19 +53,10 @@ class Question:
     uncertainty: Mapping[str, str] = entry("What of knee and tests was taken as uncertain")
 
     def differences(self, other: "Question") -> tuple[str, ...]:
-        """In what another question differs, as the names of fields in words."""
+        """In what another question differs, in words; empty where both ask the same."""
         return tuple(
-            name.replace("_", " ")
-            for name in (
-                "trials",
-                "weighting",
-                "noise_mm",
-                "noise_deg",
-                "priors",
-                "fixed",
-                "bounds",
-                "uncertainty",
-            )
+            words
+            for name, words in IN_WORDS.items()
             if not _is_alike(getattr(self, name), getattr(other, name))
         )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Unpack
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.calibrate.problem import EvidenceTerm, Problem, evidence_terms
 from identknee.identify.posterior.density import InfeasiblePriorMass, with_uniform_priors
@@ -362,6 +363,12 @@ class Sample(Answer):
     nested: Nested | None = entry(
         "A second opinion by nested sampling", only="`--nested`", default=None
     )
+
+    @property
+    @override
+    def best_deviance(self) -> float:
+        """Infinite: the likeliest draw is no optimum."""
+        return float("inf")
 
     @property
     def last_check(self) -> ConvergenceCheck | None:

@@ -90,7 +90,7 @@ def _outcome(truths: str, number: int) -> dict[str, Any]:
             strict=True,
         ):
             ends = [
-                side.end if side.status is SideStatus.CLOSED else bound
+                bound if side.end is None or side.status is not SideStatus.CLOSED else side.end
                 for side, bound in ((own.lower_side, low), (own.upper_side, high))
             ]
             covers.append(bool(ends[0] <= truth <= ends[1]))

@@ -53,6 +53,16 @@ def nuisance_tables(answer: Calibration) -> Iterator[Table]:
         )
 
 
+def evidence_tables(answer: Calibration) -> Iterator[Table]:
+    """Terms of the deviance at the fit; nothing where the laxity table is the only one."""
+    if len(answer.evidence) > 1:
+        yield table(
+            "Terms of the deviance at the fit",
+            ("term", ("values", 0), ("deviance", 2), ("share", 2)),
+            ((x.name, x.n, x.deviance, x.share) for x in answer.evidence),
+        )
+
+
 def _band(
     beside: Sequence[Answer], as_measured: Callable[[Array], Array]
 ) -> tuple[str, Array] | None:
@@ -106,6 +116,7 @@ class CalibrationPresenter(Presenter[Calibration]):
                     if name not in nuisances
                 ),
             ),
+            *evidence_tables(answer),
             *nuisance_tables(answer),
             is_answer=True,
         )
