@@ -35,6 +35,7 @@ MODULES = {
     "verdicts": "verify_verdicts",
     "measured_knee": "verify_measured_knee",
     "priors": "verify_priors",
+    "lowest_fit": "verify_lowest_fit",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
