@@ -61,6 +61,7 @@ from identknee.model.effects.library import choice_of
 from identknee.model.laxity_model import LaxityModel, Prediction
 from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
+from identknee.model.quantities import AT, TENSION, tensions_of
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import (
@@ -278,11 +279,15 @@ class Optimum:
 
     theta: Array = array("Where the search ended", "parameter", unit=OF_PARAMETER)
     rise: float = entry("Deviance above that of the fit, in units of the noise", unit="1")
+    quantity: str = entry("The ligament force that differs most from that of the fit")
+    force_N: float = entry("That force here", unit="N")  # noqa: N815 - the unit
+    force_at_fit_N: float = entry("That force at the fit", unit="N")  # noqa: N815 - the unit
 
 
-def _optima(fits: Sequence[Fit], scale: float) -> tuple[Optimum, ...]:
+def _optima(model: LaxityModel, fits: Sequence[Fit], scale: float) -> tuple[Optimum, ...]:
     """The ends of other searches that fit as well at the 95 % level, each once."""
     made: list[Optimum] = []
+    at_fit = tensions_of(model, model.predict(fits[0].theta, derivatives=False))
     parameters, best = fits[0].parameters, fits[0]
     steps, known = typical_steps(parameters), [best.theta]
     for other in fits[1:]:
@@ -290,7 +295,19 @@ def _optima(fits: Sequence[Fit], scale: float) -> tuple[Optimum, ...]:
         asked = parameters.is_of_interest
         away = [np.max(np.abs((other.theta - x) / steps)[asked]) for x in known]
         if rise <= AS_GOOD and min(away) > APART:
-            made.append(Optimum(theta=other.theta, rise=rise))
+            forces = tensions_of(model, model.predict(other.theta, derivatives=False))
+            apart = np.nan_to_num(np.abs(forces - at_fit))
+            trial, ligament = np.unravel_index(int(np.argmax(apart)), apart.shape)
+            owner, where = model.knee.ligaments[ligament].name, model.protocol.trials[trial]
+            made.append(
+                Optimum(
+                    theta=other.theta,
+                    rise=rise,
+                    quantity=f"{owner}.{TENSION}{AT}{where}",
+                    force_N=float(forces[trial, ligament]),
+                    force_at_fit_N=float(at_fit[trial, ligament]),
+                )
+            )
             known.append(other.theta)
     return tuple(made)
 
@@ -515,7 +532,7 @@ def fit(
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         origin=_origin(fits[0], used.start),
-        optima=_optima(fits, _scale(trials, used.laxity, found)),
+        optima=_optima(model, fits, _scale(trials, used.laxity, found)),
         held_out=held,
         evidence=evidence_terms(
             with_all_priors(problem) if is_with_priors else problem, found.theta

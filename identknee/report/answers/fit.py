@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 NO_ERROR = 1e-4
 # Stated errors that a terminal shows.
 MOST_ERRORS = 8
+# Other optima that a terminal shows.
+MOST_OPTIMA = 4
 # Fits in a figure.
 MOST_LINES = 4
 
@@ -60,6 +62,17 @@ def evidence_tables(answer: Calibration) -> Iterator[Table]:
             "Terms of the deviance at the fit",
             ("term", ("values", 0), ("deviance", 2), ("share", 2)),
             ((x.name, x.n, x.deviance, x.share) for x in answer.evidence),
+        )
+
+
+def optima_tables(answer: Calibration) -> Iterator[Table]:
+    """Other parameter sets that fit as well, by the force in which they differ most."""
+    if answer.optima:
+        yield table(
+            "Other ends of searches that fit as well, with the force that differs most",
+            ("force", ("there [N]", 0), ("at the fit [N]", 0), ("deviance higher by", 2)),
+            ((x.quantity, x.force_N, x.force_at_fit_N, x.rise) for x in answer.optima),
+            most=MOST_OPTIMA,
         )
 
 
@@ -118,6 +131,7 @@ class CalibrationPresenter(Presenter[Calibration]):
             ),
             *evidence_tables(answer),
             *nuisance_tables(answer),
+            *optima_tables(answer),
             is_answer=True,
         )
         if answer.held_out is not None:
