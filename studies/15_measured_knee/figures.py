@@ -42,15 +42,15 @@ def held_out_figure(record: Row) -> Figure:
         for x in record["knees"]["s192803_bundles"]["parts"]
         if x["part"] == "held out" and x["split"] == FIRST_SPLIT
     }
-    for axes, (coordinate, label) in zip(
+    for axes, (coordinate, words) in zip(
         np.atleast_1d(figure.subplots(1, len(JUDGED))), JUDGED.items(), strict=True
     ):
         for k, uncertain in enumerate((NAIVE, HONEST)):
             _points(axes, rows[uncertain], coordinate, k)
         low, high = axes.get_xlim()
         axes.plot([low, high], [low, high], color=ik.report.GREY, linewidth=0.8, zorder=0)
-        axes.set_xlabel(f"measured {label}")
-        axes.set_ylabel(f"predicted {label}")
+        axes.set_xlabel(f"measured {words}")
+        axes.set_ylabel(f"predicted {words}")
         axes.spines[["top", "right"]].set_visible(False)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
