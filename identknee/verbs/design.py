@@ -123,8 +123,8 @@ def design(
     targets: Annotated[
         Sequence[str] | None,
         option(
-            "The quantity to pin down: a parameter, ACL.tension_N@TRIAL or varus_deg@TRIAL. If not "
-            "given: the parameters with open intervals, or all if none is open.",
+            f"The quantity to pin down: a parameter or a prediction. {options.PREDICTIONS} If "
+            "not given: the parameters with open intervals, or all if none is open.",
             "--target",
             in_python="A list of names.",
             metavar="NAME",

@@ -1,7 +1,7 @@
 """The posterior of the parameters given the data, and whether it can be trusted."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Unpack
@@ -20,11 +20,20 @@ from identknee.identify.posterior.sample import Ensembles, nested_posterior, qua
 from identknee.identify.posterior.sample import sample as sampled
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.model.quantities import tensions_of
+from identknee.model.quantities import PredictedQuantity, quantity_named
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_PARAMETER,
+    OF_QUANTITY,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
@@ -138,6 +147,15 @@ class Predictive:
         dtype=int,
         group="predicted_draws",
     )
+    quantity_names: tuple[str, ...] = array(
+        "Names of the predictions asked for", "quantity", is_in_arrays=False, default=()
+    )
+    quantities: Array | None = array(
+        "Predictions asked for; missing where none was, NaN without one",
+        *(*CHAIN, "quantity"),
+        unit=OF_QUANTITY,
+        default=None,
+    )
 
     @property
     @derived("Draws predicted at", unit="1")
@@ -168,9 +186,10 @@ def predictive(
     model: LaxityModel,
     free: FreeParameters | None = None,
     *,
+    quantities: Sequence[PredictedQuantity] = (),
     n_draws: int = N_PREDICTIONS,
 ) -> Predictive:
-    """Laxity and the tension of every ligament at draws as good as independent.
+    """Laxity, the tension of every ligament and other quantities at draws as good as independent.
 
     Parameters
     ----------
@@ -180,6 +199,8 @@ def predictive(
         The model, under any protocol: also one that was not measured.
     free
         Which parameters of the model were sampled; all if None.
+    quantities
+        What else to predict; of this model.
     n_draws
         How many draws to predict at; fewer where the sample holds fewer.
     """
@@ -193,7 +214,43 @@ def predictive(
         coordinates=np.array([[x.coordinates for x in predictions]]),
         tension_N=np.array([[tensions_of(model, x) for x in predictions]]),
         places=places,
+        quantity_names=tuple(x.name for x in quantities),
+        quantities=np.array([[[x.value(y) for x in quantities] for y in predictions]])
+        if quantities
+        else None,
     )
+
+
+@declared
+class PredictedMarginal:
+    """The posterior of one prediction, over the draws that have one."""
+
+    mean: float = entry("Posterior mean", unit=OF_QUANTITY)
+    sd: float = entry("Posterior standard deviation", unit=OF_QUANTITY)
+    q025: float = entry("Quantile at 2.5 %", unit=OF_QUANTITY)
+    q500: float = entry("Posterior median", unit=OF_QUANTITY)
+    q975: float = entry("Quantile at 97.5 %", unit=OF_QUANTITY)
+    n_draws: int = entry("Draws that have a prediction", unit="1")
+
+
+def predicted_marginals(found: Predictive) -> dict[str, PredictedMarginal]:
+    """The marginal of each prediction asked for by its name, where any draw has one."""
+    made: dict[str, PredictedMarginal] = {}
+    if found.quantities is None:
+        return made
+    for name, column in zip(found.quantity_names, found.quantities[0].T, strict=True):
+        values = column[np.isfinite(column)]
+        if values.size:
+            low, middle, high = np.quantile(values, (0.025, 0.5, 0.975)).tolist()
+            made[name] = PredictedMarginal(
+                mean=float(values.mean()),
+                sd=float(values.std()),
+                q025=low,
+                q500=middle,
+                q975=high,
+                n_draws=values.size,
+            )
+    return made
 
 
 def marginals_of(posterior: Posterior) -> dict[str, Marginal]:
@@ -329,6 +386,10 @@ class Sample(Answer):
 
     outcome: SampleOutcome = entry("How sampling ended")
     parameters: Mapping[str, Marginal] = entry("Posterior of each parameter by its name")
+    quantities: Mapping[str, PredictedMarginal] = entry(
+        "Posterior of each prediction asked for by its name",
+        default_factory=dict,
+    )
     space: Parameters = entry(
         "The parameters, their bounds and priors", group="parameters", is_in_json=False
     )
@@ -338,7 +399,7 @@ class Sample(Answer):
     )
     prior: PriorDraws = entry("Draws of the prior", group="prior", is_in_json=False)
     predictive: Predictive | None = entry(
-        "Laxity and ligament forces at some of the draws",
+        "Laxity, ligament forces and other predictions at some of the draws",
         group="posterior_predictive",
         default=None,
     )
@@ -425,7 +486,7 @@ class Sample(Answer):
 
 
 @verb
-@not_resume_relevant("budget", "nested")
+@not_resume_relevant("budget", "nested", "quantities")
 def sample(
     run: Run,
     subject: options.Subject,
@@ -451,6 +512,15 @@ def sample(
             "surrogate beyond]"
         ),
     ] = None,
+    quantities: Annotated[
+        Sequence[str] | None,
+        option(
+            f"Also give the posterior of a prediction. {options.PREDICTIONS}",
+            "--quantity",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
     budget: Annotated[
         int,
         option(
@@ -473,7 +543,7 @@ def sample(
     """The posterior of the parameters given the data, and whether it can be trusted.
 
     Walkers run until they pass the convergence checks, whose numbers are in result.json. All draws
-    are in result.nc, with the laxity and the ligament forces at some of them.
+    are in result.nc, with the laxity, the ligament forces and other predictions at some of them.
 
     Raises
     ------
@@ -485,6 +555,7 @@ def sample(
     """
     setup = identification(subject, data, noise=noise, start=start, fixed=fixed, bounds=bounds)
     optima = None if basins is None else _optima(Path(basins), setup.problem.parameters)
+    wanted = [quantity_named(setup.model, x) for x in quantities or ()]
     run.start_clock()
     posterior = sampled(
         setup.problem,
@@ -496,10 +567,13 @@ def sample(
         store=run.store,
     )
     is_begun = bool(posterior.checks)
-    predicted = predictive(posterior, setup.model, setup.free) if is_begun else None
+    predicted = (
+        predictive(posterior, setup.model, setup.free, quantities=wanted) if is_begun else None
+    )
     return as_answer(
         posterior,
         predictive=predicted,
+        quantities={} if predicted is None else predicted_marginals(predicted),
         cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,

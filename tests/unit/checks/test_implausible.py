@@ -7,7 +7,7 @@ import pytest
 
 import identknee as ik
 from identknee.checks.fit_checks import implausible_findings
-from identknee.model.quantities import tensions_of
+from identknee.model.line_loads import tensions_of
 
 
 @pytest.fixture(scope="module")
