@@ -227,7 +227,7 @@ class ProfilesPresenter(Presenter[Profiles]):
         if profiles:
             yield self.say(
                 _quantity_sentences(profiles),
-                _table(profiles, "Forces and laxities that the data do not exclude"),
+                _table(profiles, "Predictions that the data do not exclude"),
             )
         for pair in answer.pairs:
             closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)
