@@ -12,6 +12,7 @@ from identknee.calibrate.problem import (
     Quantity,
     RestrictedQuantity,
     WhitenedResiduals,
+    value_at,
 )
 from identknee.checks.usable_trials import candidate_path_findings
 from identknee.identify.design import ChosenTrials, linearised
@@ -180,6 +181,8 @@ def design(
     degrees = setup.degrees_of_freedom
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
+    for target in wanted:
+        value_at(target, fits[0].theta)
     problem: Problem = setup.problem
     begun: CandidateTrials = offered.with_start_poses(fits[0].theta)
     about_errors = _marginalisation_sentence(setup, wanted)

@@ -83,6 +83,18 @@ def test_a_grouped_knee_is_asked_for_its_groups_and_contact(noisy: Path) -> None
     assert [answer.quantities[x].unit for x in contact] == ["N", "mm", "%"]
 
 
+def test_a_trial_without_prediction_at_the_fit_is_named(noisy: Path, tmp_path: Path) -> None:
+    path = tmp_path / "far.toml"
+    path.write_text(
+        'format = 1\nname = "far"\n[[ramps]]\nflexion_deg = [30]\n'
+        'load = "internal_moment_Nm"\nvalues = [45]\n',
+        encoding="utf-8",
+    )
+    name = "LCL.tension_N@flexion30_internal45Nm"
+    words = ("profile", "reference", noisy, *TWO, *HELD, "--trials", path, "--quantity", name)
+    assert f"{name} has no prediction at the fit" in refused(*words, "--out", tmp_path)
+
+
 def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path) -> None:
     words = ("profile", "reference", noisy, *TWO, *HELD, "--out", tmp_path)
     assert run(*words).exit_code == 0
