@@ -780,3 +780,23 @@ class RestrictedQuantity:
         """Value and gradient by the free parameters, shape ``(n_free,)``."""
         value, gradient = self.quantity.evaluate(self.free.expand(theta))
         return value, self.free.restrict(gradient)
+
+
+def value_at(quantity: Quantity, theta: Array) -> tuple[float, Array]:
+    """Value and gradient of a quantity at a fit.
+
+    Raises
+    ------
+    ValueError
+        If it has none there: its trial has no equilibrium, or the compartment of which it is the
+        centre of contact does not touch.
+    """
+    value, gradient = quantity.evaluate(theta)
+    if not np.isfinite(value):
+        raise unpredicted(quantity)
+    return value, gradient
+
+
+def unpredicted(quantity: Quantity) -> ValueError:
+    """The error that a quantity has no value at a fit."""
+    return ValueError(f"{quantity.name} has no prediction at the fit; leave it out")

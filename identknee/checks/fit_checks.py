@@ -26,11 +26,10 @@ from identknee.identify.posterior.density import newton_kernel
 from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
-from identknee.mechanics.equilibria import TRANSITION_STRAIN
+from identknee.model.contact_loads import contact_values
 from identknee.model.laxity_model import LaxityModel, Prediction
-from identknee.model.mechanics_inputs import PER_KN
+from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.parameters import Parameters
-from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
@@ -429,19 +428,11 @@ def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
 
 
 def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iterator[Finding]:
-    """From the force, which has one strain where it is not zero."""
-    stiffness = PER_KN * model.tied.stiffness(prediction.theta[: model.tied.n])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = tension / stiffness
-    strain = np.where(
-        share > TRANSITION_STRAIN,
-        share + TRANSITION_STRAIN,
-        2.0 * np.sqrt(TRANSITION_STRAIN * share),
-    )
+    strain = np.where(tension > 0.0, strains_of(model, prediction), np.nan)
     # What carries nothing is not strained: that it is long, or absent, is another finding.
     idle = {x for load in ligament_loads(model, prediction) if load.is_idle for x in load.members}
     for k, ligament in enumerate(model.knee.ligaments):
-        own = 100.0 * strain[:, k]
+        own = strain[:, k]
         if not np.isfinite(own).any() or np.nanmax(own) <= FAILURE_PCT or ligament.name in idle:
             continue
         worst = int(np.nanargmax(own))
@@ -457,7 +448,7 @@ def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iter
 
 def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
     is_without_varus = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
-    forces = prediction.centres[is_without_varus, :, 0]
+    forces = contact_values(prediction)[is_without_varus, :, 0]
     if not forces.size:
         return
     medial, lateral = np.median(forces, axis=0)

@@ -23,8 +23,8 @@ from identknee.laxity.protocol import (
     nominal_loads,
 )
 from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity
+from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import Parameters
-from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.record import WithSentence

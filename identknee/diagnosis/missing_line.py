@@ -10,11 +10,12 @@ from identknee.diagnosis.fitting import FittedModel, Refit, refit, whitened_prob
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
+from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel, Prediction, trial_contacts
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
+from identknee.model.line_loads import line_loads
+from identknee.model.mechanics_inputs import PER_KN, PER_PCT
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
@@ -422,35 +423,14 @@ def _finding(
 
 
 def _largest_force(model: LaxityModel, prediction: Prediction) -> tuple[int, float, Array]:
-    """The trial in which the line pulls most, its force there [N] and the slopes by theta."""
-    theta, slope = prediction.theta, np.zeros(model.parameters.n)
-    pulled = _tensions(model, model.setting(theta), prediction)
-    trial = int(np.nanargmax(np.where(prediction.is_converged, pulled.tensions[:, -1], np.nan)))
-    if prediction.pose_jacobian is not None:
-        slope += pulled.by_pose[trial, -1] @ prediction.pose_jacobian[trial]
-    unchanged, amplitudes = model.setting(theta, is_changed=False), model.amplitudes(theta)
-    for k, move in enumerate(model.extension.moves(), start=model.n_ligament_parameters):
-        low, high = (
-            _tensions(model, model.extension.change(unchanged, amplitudes + x), prediction)
-            for x in (-move, move)
-        )
-        change = high.tensions[trial, -1] - low.tensions[trial, -1]
-        slope[k] += change / (2.0 * move[k - model.n_ligament_parameters])
-    return trial, float(pulled.tensions[trial, -1]), slope
+    """The trial in which the line pulls most, its force there [N] and the slopes by theta.
 
-
-def _tensions(
-    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
-) -> LigamentTensions:
-    """Tensions of all lines at the poses of a prediction, the missing one last."""
-    flexion = setting.flexion[model.paths.trial_node]
-    return ligament_tensions(
-        setting.measured_lines,
-        flexion,
-        prediction.poses,
-        setting.stiffness,
-        setting.reference_strain,
-    )
+    The missing line is the last of all lines.
+    """
+    pulled = line_loads(model, prediction)
+    tensions, slopes = pulled.tensions[:, -1], pulled.tension_jacobian[:, -1]
+    trial = int(np.nanargmax(tensions))
+    return trial, float(tensions[trial]), slopes[trial]
 
 
 LEVER = 20.0  # mm, what a moment is divided by to be compared with a force

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist, pdist
 
-from identknee.calibrate.problem import ParameterQuantity, Quantity
+from identknee.calibrate.problem import ParameterQuantity, Quantity, unpredicted
 from identknee.identify.region import (
     INSIDE_TOLERANCE,
     Blocks,
@@ -586,7 +586,7 @@ def equivalents(
     at_fit = searches.measured(fit, "fit")[1]
     for quantity, value in zip(quantities, at_fit[0, parameters.n :], strict=True):
         if not np.isfinite(value):
-            raise ValueError(f"{quantity.name} has no prediction at the fit; leave it out")
+            raise unpredicted(quantity)
     searches.extremes(range(parameters.n), fit, at_fit, "first extrema")
     searches.pairs(searches.axis_pairs() + searches.far_pairs(), "first pairs")
     chosen = origins = fit

@@ -104,6 +104,8 @@ class ContactPlaces:
 
     index: IntArray = entry("Which contact points they are, shape ``(k,)``")
     femoral: Array = entry("Where they are, in the axes of the field [mm], shape ``(k, 3)``")
+    outward: Array = entry("Gradient of the femur's distance there, shape ``(k, 3)``")
+    depth: Array = entry("How deep they lie in the femur, negative in a gap [mm], shape ``(k,)``")
     jacobian: Array = entry("Derivatives of those places by the pose, shape ``(k, 5, 3)``")
     deepening: Array = entry("Derivatives of the depths by the pose [mm/rad, -], shape ``(k, 5)``")
     force: Array = entry("Force of each [N], shape ``(k,)``")
@@ -130,6 +132,8 @@ def contact_places(
     return ContactPlaces(
         index=index,
         femoral=places[index],
+        outward=outward[inside],
+        depth=depth,
         jacobian=jacobian,
         deepening=-np.einsum("kai,ki->ka", jacobian, outward[inside]),
         force=contact.areas[index] * pressure,
@@ -139,34 +143,55 @@ def contact_places(
 
 def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
     """Signed distance [mm] of places (n, 3) inside the grid, ``(n,)``, and its gradient (n, 3)."""
-    at = (places - field.origin) / field.spacing
-    cell = np.floor(at).astype(np.int64)
-    u = at - cell
-    a = 1.0 - u
-    weights = np.stack(
-        [
+    spline = _Spline(field, places)
+    gradient = [spline.derivative(*order) for order in np.eye(3, dtype=int).tolist()]
+    return spline.derivative(0, 0, 0), np.stack(gradient, axis=1)
+
+
+def distance_bending(field: DistanceField, places: Array) -> Array:
+    """Second derivatives of the distance at places (n, 3) inside the grid [1/mm], ``(n, 3, 3)``."""
+    spline, axes = _Spline(field, places), np.eye(3, dtype=int)
+    bending = np.empty((len(places), 3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            bending[:, i, j] = spline.derivative(*(axes[i] + axes[j]).tolist())
+            bending[:, j, i] = bending[:, i, j]
+    return bending
+
+
+class _Spline:
+    """The distance field's spline at places inside the grid."""
+
+    def __init__(self, field: DistanceField, places: Array) -> None:
+        at = (places - field.origin) / field.spacing
+        cell = np.floor(at).astype(np.int64)
+        u = at - cell
+        a = 1.0 - u
+        weights = [
             a**3 / 6.0,
             (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
             (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
             u**3 / 6.0,
-        ],
-        axis=-1,
-    )
-    slopes = [-(a**2) / 2.0, (3.0 * u**2 - 4.0 * u) / 2.0, (4.0 * a - 3.0 * a**2) / 2.0, u**2 / 2.0]
-    along = np.stack(slopes, axis=-1)
-    x, y, z = (cell[:, axis, None] + np.arange(-1, 3) for axis in range(3))
-    nodes = field.coefficients[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+        ]
+        slopes = [
+            -(a**2) / 2.0,
+            (3.0 * u**2 - 4.0 * u) / 2.0,
+            (4.0 * a - 3.0 * a**2) / 2.0,
+            u**2 / 2.0,
+        ]
+        bends = [a, 3.0 * u - 2.0, 1.0 - 3.0 * u, u]
+        self._weights = [np.stack(x, axis=-1) for x in (weights, slopes, bends)]
+        self._spacing = field.spacing
+        x, y, z = (cell[:, axis, None] + np.arange(-1, 3) for axis in range(3))
+        self._nodes = field.coefficients[
+            x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]
+        ]
 
-    def summed(x: Array, y: Array, z: Array) -> Array:
-        along_y = np.einsum("nijk,nk,nj->ni", nodes, z, y)
-        return np.asarray((along_y * x).sum(axis=1))
-
-    gradient = [
-        summed(*(along[:, i] if i == axis else weights[:, i] for i in range(3)))
-        for axis in range(3)
-    ]
-    value = summed(weights[:, 0], weights[:, 1], weights[:, 2])
-    return value, np.stack(gradient, axis=1) / field.spacing
+    def derivative(self, x: int, y: int, z: int) -> Array:
+        """The derivative of the order given along each axis, shape ``(n,)``."""
+        along = [self._weights[order][:, axis] for axis, order in enumerate((x, y, z))]
+        along_y = np.einsum("nijk,nk,nj->ni", self._nodes, along[2], along[1])
+        return np.asarray((along_y * along[0]).sum(axis=1)) / self._spacing ** (x + y + z)
 
 
 def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:

@@ -85,7 +85,7 @@ def ligament_wrench(
 
 @declared
 class LigamentTensions:
-    """Tensions of ligaments at poses, with their derivatives.
+    """Tensions and strains of ligaments at poses, with their derivatives.
 
     The five coordinates are varus, internal rotation, x, y and z.
     """
@@ -109,6 +109,16 @@ class LigamentTensions:
         *("pose", "ligament"),
         unit="N",
     )
+    strains: Array = array("Strains, negative where a ligament is slack", "pose", "ligament")
+    strains_by_pose: Array = array(
+        "Derivatives of the strains by the coordinates",
+        *("pose", "ligament", "freedom"),
+        unit="1/rad or 1/mm",
+    )
+    strains_by_strain: Array = array(
+        "Derivatives of the strains by the reference strain of the own ligament",
+        *("pose", "ligament"),
+    )
 
     @property
     def gradient(self) -> Array:
@@ -119,7 +129,7 @@ class LigamentTensions:
 def ligament_tensions(
     lines: LineLigaments, flexion: Array, poses: Array, stiffness: Array, reference_strain: Array
 ) -> LigamentTensions:
-    """Tensions of the ligaments at poses of the tibia.
+    """Tensions and strains of the ligaments at poses of the tibia.
 
     Parameters
     ----------
@@ -137,15 +147,17 @@ def ligament_tensions(
     length, lengthening = _lengths(lines, flexion, poses)
     slack_length = lines.reference_length / (1.0 + reference_strain)
     # The law is asked for unit stiffness, since stiffness zero has a slope by stiffness as well.
-    per_stiffness, slope = line_tensions(
-        length / slack_length - 1.0, np.ones(len(stiffness)), lines.transition
-    )
+    strain = length / slack_length - 1.0
+    per_stiffness, slope = line_tensions(strain, np.ones(len(stiffness)), lines.transition)
     return LigamentTensions(
         tensions=stiffness * per_stiffness,
         lengthening=lengthening,
         by_pose=(stiffness * slope / slack_length)[:, :, None] * lengthening,
         by_stiffness=per_stiffness,
         by_strain=stiffness * slope * length / lines.reference_length,
+        strains=strain,
+        strains_by_pose=lengthening / slack_length[:, None],
+        strains_by_strain=length / lines.reference_length,
     )
 
 

@@ -6,14 +6,13 @@ from .effects.library import effects_of as effects_of
 from .effects.library import library as library
 from .effects.tissues import Cartilage as Cartilage
 from .laxity_model import Prediction as Prediction
+from .line_loads import strains_of as strains_of
+from .line_loads import tensions_of as tensions_of
 from .parameters import STIFFNESS as STIFFNESS
 from .parameters import STRAIN as STRAIN
 from .quantities import LaxityOutputs as LaxityOutputs
-from .quantities import LigamentForce as LigamentForce
-from .quantities import PredictedLaxity as PredictedLaxity
+from .quantities import PredictedQuantity as PredictedQuantity
 from .quantities import ligament_forces as ligament_forces
-from .quantities import predicted_quantities as predicted_quantities
 from .quantities import quantity_named as quantity_named
-from .quantities import tensions_of as tensions_of
 from .residuals import PAPER_LIMITS as PAPER_LIMITS
 from .residuals import rms_blocks as rms_blocks

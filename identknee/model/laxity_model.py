@@ -755,14 +755,16 @@ class LaxityModel:
                 by_amplitude = self.extension.pose_columns(
                     settings, amplitudes, found, nodes, is_at_rest
                 )
-                by_ligament = pose_jacobian @ _units(owned, setting.share, self.tied)
+                by_ligament = pose_jacobian @ lines_by_units(owned, setting.share, self.tied)
                 pose_jacobian = np.concatenate([by_ligament, by_amplitude], axis=2)
                 seen, read = self.extension.observed_slopes(actual, amplitudes, self.tests)
                 held_jacobian = seen @ (coordinate_jacobian(poses) @ pose_jacobian)
                 held_jacobian[:, :, self.n_ligament_parameters :] += read
             else:
                 m = len(self.tied.member)
-                pose_jacobian = np.asarray(pose_jacobian @ _units(np.eye(m), np.ones(m), self.tied))
+                pose_jacobian = np.asarray(
+                    pose_jacobian @ lines_by_units(np.eye(m), np.ones(m), self.tied)
+                )
                 held_jacobian = np.asarray(coordinate_jacobian(poses) @ pose_jacobian)
             jacobian = np.where(converged[:, None, None], held_jacobian, np.nan)
         return Prediction(
@@ -787,7 +789,7 @@ class LaxityModel:
         return np.asarray(theta, float)[self.n_ligament_parameters :]
 
 
-def _units(owned: Array, share: Array, tied: ParameterGroups) -> Array:
+def lines_by_units(owned: Array, share: Array, tied: ParameterGroups) -> Array:
     """Parameters of the lines by those of the units in their units, shape ``(2m, 2u)``."""
     m, u = len(owned), tied.n
     units = np.zeros((2 * m, 2 * u))

@@ -1,5 +1,6 @@
-"""Scalar predictions by name, with derivatives: ligament tensions and coordinates of trials."""
+"""Scalar predictions by name, with derivatives: tensions, strains, contact and coordinates."""
 
+from collections.abc import Sequence
 from dataclasses import field
 from functools import lru_cache
 
@@ -7,229 +8,183 @@ import numpy as np
 
 from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero, zero_trials
 from identknee.laxity.table import COORDINATES
-from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
+from identknee.model.contact_loads import COMPARTMENTS, KINDS, contact_jacobian, contact_values
 from identknee.model.laxity_model import LaxityModel, Prediction
-from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs
+from identknee.model.line_loads import (
+    StructureLoads,
+    index_of,
+    structure_loads,
+    structure_names,
+    structure_values,
+)
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import declared, entry
 
-
-def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
-    """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
-
-    That of all its lines where an effect splits it into bundles. NaN in trials that did not
-    converge.
-    """
-    setting = model.setting(prediction.theta)
-    lines = _lines(model, setting, prediction)
-    tensions: Array = lines.tensions @ setting.owned(len(model.knee.ligaments))
-    tensions[~prediction.is_converged] = np.nan
-    return tensions
-
-
-def tension_jacobian(model: LaxityModel, prediction: Prediction) -> Array:
-    """Exact derivatives of `tensions_of` by theta, shape ``(n, n_ligaments, p)``.
-
-    In N per unit of each parameter: it changes a tension directly and by moving the tibia. NaN in
-    trials that did not converge.
-
-    Raises
-    ------
-    ValueError
-        If the prediction was made without derivatives.
-    """
-    if prediction.pose_jacobian is None:
-        raise ValueError("tensions have derivatives only where the prediction has them")
-    setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
-    found, owned = _lines(model, setting, prediction), setting.owned(m)
-    by_pose = np.einsum("nla,lm->nma", found.by_pose, owned)
-    jacobian: Array = by_pose @ np.nan_to_num(prediction.pose_jacobian)
-    own = np.arange(m)
-    jacobian[:, own, own] += PER_KN * (found.by_stiffness * setting.share) @ owned
-    jacobian[:, own, m + own] += PER_PCT * found.by_strain @ owned
-    unchanged = model.setting(prediction.theta, is_changed=False)
-    amplitudes = model.amplitudes(prediction.theta)
-    for k, move in enumerate(model.extension.moves()):
-        low, high = (
-            _lines(model, model.extension.change(unchanged, amplitudes + s * move), prediction)
-            for s in (-1.0, 1.0)
-        )
-        jacobian[:, :, 2 * m + k] += (high.tensions - low.tensions) @ owned / (2.0 * move[k])
-    jacobian[~prediction.is_converged] = np.nan
-    return jacobian
-
-
-def _lines(
-    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
-) -> LigamentTensions:
-    """Tensions of all lines at the poses of a prediction."""
-    return ligament_tensions(
-        setting.measured_lines,
-        setting.flexion[model.paths.trial_node],
-        prediction.poses,
-        setting.stiffness,
-        setting.reference_strain,
-    )
-
-
-TENSION = "tension_N"
+TENSION, STRAIN, CONTACT = "tension_N", "strain_pct", "contact"
 AT = "@"
+FORMS = (
+    f"NAME.{TENSION}{AT}TRIAL or NAME.{STRAIN}{AT}TRIAL of a ligament, a group or a structure that "
+    f"an effect adds; {CONTACT}.medial_N{AT}TRIAL or {CONTACT}.lateral_N{AT}TRIAL; the place of "
+    f"that force, {CONTACT}.medial_x_mm{AT}TRIAL and so on with lateral, y and z; or a coordinate "
+    f"such as varus_deg{AT}TRIAL"
+)
 # Of one model at one theta, many quantities are asked for.
 _KEPT = 64
 
 
 @declared
-class PredictedQuantities:
-    """All a model predicts at one theta, for n trials, m ligaments and p parameters."""
+class PredictedQuantity:
+    """A number that a model predicts in one trial, by name.
 
-    tensions: Array = array(
-        "Tension of each ligament; NaN, here and below, in trials that did not converge",
-        *("trial", "ligament"),
-        unit="N",
-    )
-    tension_jacobian: Array = array("Their derivatives by theta", "trial", "ligament", "parameter")
-    coordinates: Array = array(
-        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg]",
-        *("trial", "coordinate"),
-    )
-    coordinate_jacobian: Array = array(
-        "Their derivatives by theta", "trial", "coordinate", "parameter"
-    )
-
-
-@declared
-class LigamentForce:
-    """The tension of one ligament in one trial.
+    =========================== ====================================================================
+    ``NAME.tension_N``          Tension of a ligament, a group or a structure that an effect adds:
+                                the sum over its lines [N].
+    ``NAME.strain_pct``         Their mean strain, weighted by stiffness; negative where it is slack
+                                [%].
+    ``contact.medial_N``        Contact force of the medial compartment: the sum of the forces of
+                                its contact elements, each along its own normal [N].
+    ``contact.lateral_N``       The same of the lateral compartment.
+    ``contact.medial_x_mm``     Where that force acts, the mean place of the elements weighted by
+                                force, in the tibia's frame: x anterior, y superior, z lateral [mm].
+                                Also ``_y_mm`` and ``_z_mm``, and ``contact.lateral_...``.
+    ``varus_deg`` and so on     A coordinate of the laxity table.
+    =========================== ====================================================================
 
     Raises
     ------
     ValueError
-        If the model has no such ligament or trial.
+        If the model has no such quantity or trial.
     """
 
     model: LaxityModel = entry(
         "The model; its protocol has the trial, which need not be one of the data's"
     )
-    ligament: str = entry("Name of the ligament")
-    trial: str = entry("Name of the trial")
-    name: str = field(init=False)
-    unit: str = field(init=False, default="N")
-    _place: tuple[int, int] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        ligaments = [x.name for x in self.model.knee.ligaments]
-        place = (
-            _index(self.trial, self.model.protocol.trials, "trial"),
-            _index(self.ligament, ligaments, "ligament"),
-        )
-        object.__setattr__(self, "_place", place)
-        object.__setattr__(self, "name", f"{self.ligament}.{TENSION}{AT}{self.trial}")
-
-    def evaluate(self, theta: Array) -> tuple[float, Array]:
-        """The force [N] and its gradient, shape ``(p,)``; NaN where the trial has no prediction."""
-        found = predicted_quantities(self.model, theta)
-        return float(found.tensions[self._place]), found.tension_jacobian[self._place]
-
-
-@declared
-class PredictedLaxity:
-    """One coordinate of the pose in one trial.
-
-    Raises
-    ------
-    ValueError
-        If there is no such coordinate, or the model has no such trial.
-    """
-
-    model: LaxityModel = entry(
-        "The model; its protocol has the trial, which need not be one of the data's"
-    )
-    coordinate: str = entry('A column of the laxity table, for example ``"internal_deg"``')
+    what: str = entry('What it is, for example ``"ACL.tension_N"``')
     trial: str = entry("Name of the trial")
     name: str = field(init=False)
     unit: str = field(init=False)
-    _place: tuple[int, int] = field(init=False, repr=False)
+    _place: tuple[str, int, int] = field(init=False, repr=False)
+    _trial: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        place = (
-            _index(self.trial, self.model.protocol.trials, "trial"),
-            _index(self.coordinate, COORDINATES, "coordinate"),
-        )
-        object.__setattr__(self, "_place", place)
-        object.__setattr__(self, "name", f"{self.coordinate}{AT}{self.trial}")
-        object.__setattr__(self, "unit", self.coordinate.rpartition("_")[2])
+        unit = self.what.rpartition("_")[2]
+        made = {
+            "_place": _place(self.model, self.what),
+            "_trial": index_of(self.trial, self.model.protocol.trials, "trial"),
+            "name": f"{self.what}{AT}{self.trial}",
+            "unit": "%" if unit == "pct" else unit,
+        }
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+
+    def value(self, prediction: Prediction) -> float:
+        """Its value in a prediction of the model; NaN where there is none.
+
+        That is in a trial without equilibrium, and for the place of contact where nothing touches.
+        """
+        kind, i, j = self._place
+        if kind == CONTACT:
+            return float(contact_values(prediction)[self._trial, i, j])
+        if kind in (TENSION, STRAIN):
+            name = self.what.rpartition(".")[0]
+            values = structure_values(self.model, prediction, name)
+            return float(values[kind == STRAIN][self._trial])
+        return float(prediction.coordinates[self._trial, i])
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
-        """The coordinate and its gradient, shape ``(p,)``; NaN where there is no prediction."""
-        found = predicted_quantities(self.model, theta)
-        return float(found.coordinates[self._place]), found.coordinate_jacobian[self._place]
+        """Its value and gradient, shape ``(p,)``; NaN where there is none.
+
+        Quantities at one theta share one simulation, that of the model's residuals where they were
+        asked for last.
+
+        Raises
+        ------
+        ValueError
+            As `LaxityModel.predict`, and for mesh contact, which has no derivatives.
+        """
+        at = np.asarray(theta, np.float64).tobytes()
+        kind, i, j = self._place
+        if kind == CONTACT:
+            value = contact_values(_prediction(self.model, at))[self._trial, i, j]
+            return float(value), _contact_jacobian(self.model, at, self._trial)[i, j]
+        if kind == COORDINATE:
+            found = _prediction(self.model, at)
+            if found.jacobian is None:  # pragma: no cover - it was asked for
+                raise AssertionError
+            return float(found.coordinates[self._trial, i]), found.jacobian[self._trial, i]
+        loads = _structure_loads(self.model, at)
+        values, slopes = (
+            (loads.tensions, loads.tension_jacobian)
+            if kind == TENSION
+            else (loads.strains, loads.strain_jacobian)
+        )
+        return float(values[self._trial, i]), slopes[self._trial, i]
 
 
-def quantity_named(model: LaxityModel, name: str) -> LigamentForce | PredictedLaxity:
-    """The predicted quantity of a name such as ``"ACL.tension_N@TRIAL"`` or ``"varus_deg@TRIAL"``.
+COORDINATE = "coordinate"
+
+
+def _place(model: LaxityModel, what: str) -> tuple[str, int, int]:
+    """Kind of a quantity, and where among those of its kind it stands."""
+    owner, dot, kind = what.rpartition(".")
+    if dot and kind in (TENSION, STRAIN):
+        return kind, index_of(owner, structure_names(model), "ligament"), 0
+    side, _, kind = kind.partition("_")
+    if owner == CONTACT and side in COMPARTMENTS and kind in KINDS:
+        return CONTACT, COMPARTMENTS.index(side), KINDS.index(kind)
+    if dot:
+        raise ValueError(f"{what!r} is not the name of a predicted quantity; write {FORMS}")
+    if what not in COORDINATES:
+        raise ValueError(
+            f"there is no coordinate {what!r}; there are {', '.join(COORDINATES)}; or write {FORMS}"
+        )
+    return COORDINATE, COORDINATES.index(what), 0
+
+
+def quantity_named(model: LaxityModel, name: str) -> PredictedQuantity:
+    """The predicted quantity of a name such as ``"ACL.tension_N@TRIAL"``.
 
     Raises
     ------
     ValueError
-        If the name has not this form, or the model lacks the ligament, coordinate or trial.
+        If the name has none of the forms of `PredictedQuantity`, or the model lacks what it names.
     """
     what, at, trial = name.partition(AT)
     if not at:
-        raise ValueError(
-            f"{name!r} is not the name of a predicted quantity; write LIGAMENT.{TENSION}{AT}TRIAL "
-            f"or a coordinate such as varus_deg{AT}TRIAL"
-        )
-    if what.endswith(f".{TENSION}"):
-        return LigamentForce(model=model, ligament=what.removesuffix(f".{TENSION}"), trial=trial)
-    return PredictedLaxity(model=model, coordinate=what, trial=trial)
+        raise ValueError(f"{name!r} is not the name of a predicted quantity; write {FORMS}")
+    return PredictedQuantity(model=model, what=what, trial=trial)
 
 
-def ligament_forces(model: LaxityModel, protocol: Protocol | None = None) -> list[LigamentForce]:
+def force_names(model: LaxityModel, trials: Sequence[str]) -> list[str]:
+    """Names of the tensions of all ligaments in trials, those of a group as one."""
+    return [f"{x}.{TENSION}{AT}{trial}" for trial in trials for x in model.tied.names]
+
+
+def ligament_forces(
+    model: LaxityModel, protocol: Protocol | None = None
+) -> list[PredictedQuantity]:
     """The force of every ligament in every trial of the model's protocol, or of another one.
 
-    They share their simulations: all of them at one theta cost one.
+    Ligaments of a group are one. All of them at one theta cost one simulation.
     """
     under = model if protocol is None else model.with_protocol(protocol)
-    return [
-        LigamentForce(model=under, ligament=ligament.name, trial=trial)
-        for trial in under.protocol.trials
-        for ligament in under.knee.ligaments
-    ]
-
-
-def predicted_quantities(model: LaxityModel, theta: Array) -> PredictedQuantities:
-    """Ligament forces and laxities in every trial at `theta`, with Jacobians, by one simulation.
-
-    It is that of the model's residuals where they were asked for last; and the last ones asked for
-    are kept, so that asking again at the same theta costs nothing.
-
-    Raises
-    ------
-    ValueError
-        As `LaxityModel.predict`, and for mesh contact, which has no derivatives.
-    """
-    return _predicted(model, np.asarray(theta, np.float64).tobytes())
+    return [quantity_named(under, x) for x in force_names(under, under.protocol.trials)]
 
 
 @lru_cache(maxsize=_KEPT)
-def _predicted(model: LaxityModel, theta: bytes) -> PredictedQuantities:
-    prediction = model.predict_once(np.frombuffer(theta))
-    if prediction.jacobian is None:  # pragma: no cover - predict was asked for it
-        raise AssertionError
-    return PredictedQuantities(
-        tensions=tensions_of(model, prediction),
-        tension_jacobian=tension_jacobian(model, prediction),
-        coordinates=prediction.coordinates,
-        coordinate_jacobian=prediction.jacobian,
-    )
+def _prediction(model: LaxityModel, theta: bytes) -> Prediction:
+    return model.predict_once(np.frombuffer(theta))
 
 
-def _index(name: str, names: "tuple[str, ...] | list[str]", kind: str) -> int:
-    if name not in names:
-        shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-        raise ValueError(f"there is no {kind} {name!r}; there are {shown}")
-    return names.index(name)
+@lru_cache(maxsize=_KEPT)
+def _structure_loads(model: LaxityModel, theta: bytes) -> StructureLoads:
+    return structure_loads(model, _prediction(model, theta))
+
+
+@lru_cache(maxsize=_KEPT)
+def _contact_jacobian(model: LaxityModel, theta: bytes, trial: int) -> Array:
+    return contact_jacobian(model, _prediction(model, theta), trial)
 
 
 @declared

@@ -15,14 +15,31 @@ def parameter_words(name: str) -> str:
     "the ACL's stiffness"
     >>> parameter_words("ACL.tension_N@flexion30_internal5")
     "the ACL's tension in trial flexion30_internal5"
-    >>> parameter_words("varus_deg@a")
-    'varus angulation in trial a'
+    >>> parameter_words("varus_deg@a"), parameter_words("contact.medial_N@a")
+    ('varus angulation in trial a', 'the medial contact force in trial a')
     """
     quantity, _, trial = name.partition("@")
     owner, _, kind = quantity.rpartition(".")
     words = coordinate_words(kind)
     whole = f"the {owner}'s {words}" if owner else words
+    if contact := contact_words(quantity):
+        whole = f"the {contact}"
     return f"{whole} in trial {trial}" if trial else whole
+
+
+def contact_words(quantity: str) -> str:
+    """A quantity of the contact in words; empty for any other.
+
+    Examples
+    --------
+    >>> contact_words("contact.medial_N"), contact_words("contact.lateral_x_mm")
+    ('medial contact force', 'lateral contact centre x')
+    """
+    owner, _, kind = quantity.partition(".")
+    if owner != "contact":
+        return ""
+    side, *axis = kind.split("_")[:-1]
+    return f"{side} contact centre {axis[0]}" if axis else f"{side} contact force"
 
 
 def owner_words(name: str) -> str:
@@ -33,8 +50,9 @@ def owner_words(name: str) -> str:
     >>> owner_words("ACL.stiffness_kN"), owner_words("varus_deg")
     ("the ACL's", 'varus angulation')
     """
-    owner = name.partition("@")[0].rpartition(".")[0]
-    return f"the {owner}'s" if owner else parameter_words(name)
+    quantity = name.partition("@")[0]
+    owner = quantity.rpartition(".")[0]
+    return f"the {owner}'s" if owner and not contact_words(quantity) else parameter_words(name)
 
 
 def coordinate_words(name: str) -> str:
@@ -55,12 +73,15 @@ def label(name: str) -> str:
     --------
     >>> label("ACL.reference_strain_pct"), label("varus_deg"), label("x.total")
     ('ACL reference strain [%]', 'varus [deg]', 'x total')
+    >>> label("contact.medial_N@a")
+    'medial contact force [N] in a'
     """
     quantity, at, trial = name.partition("@")
     words, _, unit = quantity.rpartition("_")
     if not words:
         return name.replace(".", " ")
-    plain = f"{words.replace('.', ' ').replace('_', ' ')} [{UNITS.get(unit, unit)}]"
+    words = contact_words(quantity) or words.replace(".", " ").replace("_", " ")
+    plain = f"{words} [{UNITS.get(unit, unit)}]"
     return f"{plain} in {trial}" if at else plain
 
 
@@ -102,6 +123,7 @@ def label_without_unit(name: str) -> str:
     """
     quantity, at, trial = name.partition("@")
     words = (quantity.rpartition("_")[0] or quantity).replace(".", " ").replace("_", " ")
+    words = contact_words(quantity) or words
     return f"{words} in {trial}" if at else words
 
 

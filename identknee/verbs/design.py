@@ -12,6 +12,7 @@ from identknee.calibrate.problem import (
     Quantity,
     RestrictedQuantity,
     WhitenedResiduals,
+    value_at,
 )
 from identknee.checks.usable_trials import candidate_path_findings
 from identknee.identify.design import ChosenTrials, linearised
@@ -124,8 +125,8 @@ def design(
     targets: Annotated[
         Sequence[str] | None,
         option(
-            "The quantity to pin down: a parameter, ACL.tension_N@TRIAL or varus_deg@TRIAL. If not "
-            "given: the parameters with open intervals, or all if none is open.",
+            f"The quantity to pin down: a parameter or a prediction. {options.PREDICTIONS} If "
+            "not given: the parameters with open intervals, or all if none is open.",
             "--target",
             in_python="A list of names.",
             metavar="NAME",
@@ -190,6 +191,8 @@ def design(
     degrees = setup.degrees_of_freedom
     run.start_clock()
     fits = best_fits(setup, seed=seed, executor=run.executor)
+    for target in wanted:
+        value_at(target, fits[0].theta)
     problem: Problem = setup.problem
     begun: CandidateTrials = offered.with_start_poses(fits[0].theta)
     about_errors = _marginalisation_sentence(setup, wanted)

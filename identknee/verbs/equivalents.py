@@ -1,6 +1,6 @@
-"""Equivalent parameter sets, and the ranges of forces over them."""
+"""Equivalent parameter sets, and the ranges of predictions over them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, Unpack, get_args
 
 import numpy as np
@@ -12,7 +12,8 @@ from identknee.identify.equivalents import equivalents as equivalent_sets
 from identknee.identify.region import Region, noise_region, power_of_best_test
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import TrialsLike, read_trials
-from identknee.model.quantities import ligament_forces, tensions_of
+from identknee.model.line_loads import tensions_of
+from identknee.model.quantities import ligament_forces, quantity_named
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
@@ -54,7 +55,7 @@ class Equivalents(Answer):
         "Fit by parameter, those held fixed included", unit=OF_PARAMETER
     )
     region: EquivalentSets = entry(
-        "Sets, and ranges of parameters and forces over all equivalent sets",
+        "Sets, and ranges of parameters and predictions over all equivalent sets",
         group=GROUP,
         is_inline=True,
     )
@@ -96,12 +97,22 @@ def equivalents(
     forces: Annotated[
         Forces,
         option(
-            "Ligament forces to find the range of: under the largest load of each kind at each "
-            "angle, in all trials, or none."
+            "Ligament forces to find the range of, those of a group as one: under the largest load "
+            "of each kind at each angle, in all trials, or none."
         ),
     ] = "largest",
+    quantities: Annotated[
+        Sequence[str] | None,
+        option(
+            f"Also find the range of a prediction. {options.PREDICTIONS}",
+            "--quantity",
+            in_python="A list of names.",
+            metavar="NAME",
+        ),
+    ] = None,
     trials: Annotated[
-        TrialsLike | None, trials_option("Trials of the forces, if not those of the data: {}.")
+        TrialsLike | None,
+        trials_option("Trials of forces and {--quantity}, if not of the data: {}."),
     ] = None,
     noise: options.Noise = None,
     start: options.Start = "subject",
@@ -114,9 +125,9 @@ def equivalents(
     """Parameter sets that the data cannot distinguish, as different as possible.
 
     They predict the same laxity as the best fit, and are as different from each other as possible.
-    The answer gives the smallest and largest value of every parameter and ligament force among all
-    such sets: what one could wrongly conclude. Every set is simulated. Stated errors of knee and
-    tests are marginalised to first order at the best fit.
+    The answer gives the smallest and largest value of every parameter, ligament force and other
+    prediction among all such sets: what one could wrongly conclude. Every set is simulated. Stated
+    errors of knee and tests are marginalised to first order at the best fit.
 
     Raises
     ------
@@ -139,19 +150,19 @@ def equivalents(
     )
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     fits = fits or best_fits(setup, seed=seed, executor=run.executor)
-    quantities = _forces(setup, forces, asked)
+    predictions = _predictions(setup, quantities or (), forces, asked)
     run.start_clock()
     # Marginalised nuisances move the optimum a little.
     is_asked = fits[0].parameters.is_of_interest
     best = fit(setup.problem, fits[0].theta[is_asked])
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
-    n, q = setup.problem.parameters.n, len(quantities)
-    description = f"finding the ranges of {n} parameters and {q} ligament forces"
+    n, q = setup.problem.parameters.n, len(predictions)
+    description = f"finding the ranges of {n} parameters and {q} predictions"
     with planned(
         description,
         {
             "simulating sets": [0.017] * (3 * n_sets),
-            # Extrema of parameters, of which there is a first guess, and of forces.
+            # Extrema of parameters, of which there is a first guess, and of predictions.
             "finding extrema": [0.03] * (4 * n) + [0.112] * (2 * q),
             "finding the diameter": [0.05] * 12,
             "looking along rays": [0.32] * 20,
@@ -160,14 +171,14 @@ def equivalents(
     ):
         sets = equivalent_sets(
             region,
-            quantities=quantities,
+            quantities=predictions,
             n_sets=n_sets,
             seed=seed,
             executor=run.executor,
             store=run.store,
         )
     model = setup.model
-    predictions = [model.predict(x, derivatives=False) for x in setup.free.expand(sets.sets)]
+    simulated = [model.predict(x, derivatives=False) for x in setup.free.expand(sets.sets)]
     fitted = setup.free.expand(sets.fit).tolist()
     return Equivalents(
         criterion=criterion,
@@ -176,8 +187,8 @@ def equivalents(
         region=sets,
         trials=model.protocol.trials,
         ligaments=tuple(x.name for x in model.knee.ligaments),
-        coordinates=np.array([x.coordinates for x in predictions]),
-        tension_N=np.array([tensions_of(model, x) for x in predictions]),
+        coordinates=np.array([x.coordinates for x in simulated]),
+        tension_N=np.array([tensions_of(model, x) for x in simulated]),
         assumptions=setup.assumptions,
         **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
@@ -200,16 +211,18 @@ def _region(
     )
 
 
-def _forces(setup: Identification, forces: Forces, asked: Protocol | None) -> list[Quantity]:
-    if forces == "none":
-        return []
-    protocol = asked
-    if protocol is None:
-        # A blank trial may have no equilibrium, and then no forces.
-        protocol = setup.laxity.protocol.select(setup.laxity.is_measured.any(axis=1))
-    if forces == "largest":
-        protocol = protocol.select(largest_loads(protocol))
-    return [
-        RestrictedQuantity(quantity=force, free=setup.free)
-        for force in ligament_forces(setup.model, protocol)
-    ]
+def _predictions(
+    setup: Identification, names: Sequence[str], forces: Forces, asked: Protocol | None
+) -> list[Quantity]:
+    under = setup.model if asked is None else setup.model.with_protocol(asked)
+    found = [quantity_named(under, x) for x in names]
+    if forces != "none":
+        protocol = asked
+        if protocol is None:
+            # A blank trial may have no equilibrium, and then no forces.
+            protocol = setup.laxity.protocol.select(setup.laxity.is_measured.any(axis=1))
+        if forces == "largest":
+            protocol = protocol.select(largest_loads(protocol))
+        own = {x.name for x in found}
+        found += [x for x in ligament_forces(setup.model, protocol) if x.name not in own]
+    return [RestrictedQuantity(quantity=x, free=setup.free) for x in found]

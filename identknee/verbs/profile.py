@@ -19,7 +19,7 @@ from identknee.identify.profile.result import (
 )
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import TrialsLike, read_trials
-from identknee.model.quantities import quantity_named
+from identknee.model.quantities import force_names, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.verbs import options
@@ -99,8 +99,8 @@ def profile(
     quantities: Annotated[
         Sequence[str] | None,
         option(
-            "Also profile a prediction: ACL.tension_N@TRIAL or varus_deg@TRIAL, where TRIAL is a "
-            "name from the column trial of the data.",
+            f"Also profile a prediction. {options.PREDICTIONS} TRIAL is a name from the column "
+            "trial of the data.",
             "--quantity",
             in_python="A list of names.",
             metavar="NAME",
@@ -109,7 +109,7 @@ def profile(
     forces: Annotated[
         Sequence[str] | None,
         option(
-            "Also profile the forces of all ligaments in this trial.",
+            "Also profile the forces of all ligaments in this trial, those of a group as one.",
             in_python="A list of names.",
             metavar="TRIAL",
         ),
@@ -244,10 +244,9 @@ def _predictions(
     model = setup.model
     if trials is not None:
         model = model.with_protocol(trials)
-    ligaments = [x.name for x in setup.knee.ligaments]
-    texts = [*names, *(f"{x}.tension_N@{trial}" for trial in forces for x in ligaments)]
     return [
-        RestrictedQuantity(quantity=quantity_named(model, text), free=setup.free) for text in texts
+        RestrictedQuantity(quantity=quantity_named(model, name), free=setup.free)
+        for name in (*names, *force_names(model, forces))
     ]
 
 

@@ -1,7 +1,7 @@
 """The posterior of the parameters given the data, and whether it can be trusted."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Unpack
@@ -22,11 +22,20 @@ from identknee.identify.posterior.sample import Ensembles, nested_posterior, qua
 from identknee.identify.posterior.sample import sample as sampled
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.model.quantities import tensions_of
+from identknee.model.quantities import PredictedQuantity, quantity_named
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_PARAMETER,
+    OF_QUANTITY,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding
@@ -146,6 +155,15 @@ class Predictive:
         dtype=int,
         group="predicted_draws",
     )
+    quantity_names: tuple[str, ...] = array(
+        "Names of the predictions asked for", "quantity", is_in_arrays=False, default=()
+    )
+    quantities: Array | None = array(
+        "Predictions asked for; missing where none was, NaN without one",
+        *(*CHAIN, "quantity"),
+        unit=OF_QUANTITY,
+        default=None,
+    )
 
     @property
     @derived("Draws predicted at", unit="1")
@@ -176,9 +194,10 @@ def predictive(
     model: LaxityModel,
     free: FreeParameters | None = None,
     *,
+    quantities: Sequence[PredictedQuantity] = (),
     n_draws: int = N_PREDICTIONS,
 ) -> Predictive:
-    """Laxity and the tension of every ligament at draws as good as independent.
+    """Laxity, the tension of every ligament and other quantities at draws as good as independent.
 
     Parameters
     ----------
@@ -188,6 +207,8 @@ def predictive(
         The model, under any protocol: also one that was not measured.
     free
         Which parameters of the model were sampled; all if None.
+    quantities
+        What else to predict; of this model.
     n_draws
         How many draws to predict at; fewer where the sample holds fewer.
     """
@@ -201,7 +222,43 @@ def predictive(
         coordinates=np.array([[x.coordinates for x in predictions]]),
         tension_N=np.array([[tensions_of(model, x) for x in predictions]]),
         places=places,
+        quantity_names=tuple(x.name for x in quantities),
+        quantities=np.array([[[x.value(y) for x in quantities] for y in predictions]])
+        if quantities
+        else None,
     )
+
+
+@declared
+class PredictedMarginal:
+    """The posterior of one prediction, over the draws that have one."""
+
+    mean: float = entry("Posterior mean", unit=OF_QUANTITY)
+    sd: float = entry("Posterior standard deviation", unit=OF_QUANTITY)
+    q025: float = entry("Quantile at 2.5 %", unit=OF_QUANTITY)
+    q500: float = entry("Posterior median", unit=OF_QUANTITY)
+    q975: float = entry("Quantile at 97.5 %", unit=OF_QUANTITY)
+    n_draws: int = entry("Draws that have a prediction", unit="1")
+
+
+def predicted_marginals(found: Predictive) -> dict[str, PredictedMarginal]:
+    """The marginal of each prediction asked for by its name, where any draw has one."""
+    made: dict[str, PredictedMarginal] = {}
+    if found.quantities is None:
+        return made
+    for name, column in zip(found.quantity_names, found.quantities[0].T, strict=True):
+        values = column[np.isfinite(column)]
+        if values.size:
+            low, middle, high = np.quantile(values, (0.025, 0.5, 0.975)).tolist()
+            made[name] = PredictedMarginal(
+                mean=float(values.mean()),
+                sd=float(values.std()),
+                q025=low,
+                q500=middle,
+                q975=high,
+                n_draws=values.size,
+            )
+    return made
 
 
 def marginals_of(posterior: Posterior) -> dict[str, Marginal]:
@@ -337,6 +394,10 @@ class Sample(Answer):
 
     outcome: SampleOutcome = entry("How sampling ended")
     parameters: Mapping[str, Marginal] = entry("Posterior of each parameter by its name")
+    quantities: Mapping[str, PredictedMarginal] = entry(
+        "Posterior of each prediction asked for by its name",
+        default_factory=dict,
+    )
     space: Parameters = entry(
         "The parameters, their bounds and priors", group="parameters", is_in_json=False
     )
@@ -346,7 +407,7 @@ class Sample(Answer):
     )
     prior: PriorDraws = entry("Draws of the prior", group="prior", is_in_json=False)
     predictive: Predictive | None = entry(
-        "Laxity and ligament forces at some of the draws",
+        "Laxity, ligament forces and other predictions at some of the draws",
         group="posterior_predictive",
         default=None,
     )
@@ -439,7 +500,7 @@ class Sample(Answer):
 
 
 @verb
-@not_resume_relevant("budget", "nested")
+@not_resume_relevant("budget", "nested", "quantities")
 def sample(
     run: Run,
     subject: options.Subject,
@@ -462,6 +523,15 @@ def sample(
             "How walkers move. newton, surrogate and hamiltonian use the exact Jacobian; "
             "difference and stretch do not need it.  [default: newton up to 12 parameters, "
             "surrogate beyond]"
+        ),
+    ] = None,
+    quantities: Annotated[
+        Sequence[str] | None,
+        option(
+            f"Also give the posterior of a prediction. {options.PREDICTIONS}",
+            "--quantity",
+            in_python="A list of names.",
+            metavar="NAME",
         ),
     ] = None,
     budget: Annotated[
@@ -487,7 +557,7 @@ def sample(
     """The posterior of the parameters given the data, and whether it can be trusted.
 
     Walkers run until they pass the convergence checks, whose numbers are in result.json. All draws
-    are in result.nc, with the laxity and the ligament forces at some of them.
+    are in result.nc, with the laxity, the ligament forces and other predictions at some of them.
 
     Raises
     ------
@@ -510,6 +580,7 @@ def sample(
     if not has_priors("sample", priors):
         problem = with_uniform_priors(problem)
     optima = None if basins is None else _optima(Path(basins), problem.parameters)
+    wanted = [quantity_named(setup.model, x) for x in quantities or ()]
     run.start_clock()
     if optima is None and setup.model.poses is not None:
         optima = _fitted_optima(run, setup, n_ensembles, seed)
@@ -523,10 +594,13 @@ def sample(
         store=run.store,
     )
     is_begun = bool(posterior.checks)
-    predicted = predictive(posterior, setup.model, setup.free) if is_begun else None
+    predicted = (
+        predictive(posterior, setup.model, setup.free, quantities=wanted) if is_begun else None
+    )
     return as_answer(
         posterior,
         predictive=predicted,
+        quantities={} if predicted is None else predicted_marginals(predicted),
         cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,

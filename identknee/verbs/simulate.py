@@ -21,7 +21,7 @@ from identknee.laxity.table import (
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel, Prediction
-from identknee.model.quantities import tensions_of
+from identknee.model.line_loads import tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.record import Outcome

@@ -126,7 +126,7 @@ def forces(item: tuple[Item, str]) -> list[Row]:
     truth = truth_of(problem.parameters)
     rows = []
     for ligament in ligaments(data[0]):
-        force = ik.model.LigamentForce(model=problem.model, ligament=ligament, trial=trial)
+        force = ik.model.quantity_named(problem.model, f"{ligament}.tension_N@{trial}")
         found = profile(problem, optimum_of(data), force)
         rows.append(
             {"ligament": ligament, "trial": trial, **short(found, force.evaluate(truth)[0])}
@@ -139,7 +139,7 @@ def untested(item: tuple[Item, str]) -> Row:
     data, trial = item
     problem = problem_of(data)
     model = problem.model.with_protocol(ik.load_protocol("drawer"))
-    drawer = ik.model.PredictedLaxity(model=model, coordinate=UNTESTED, trial=trial)
+    drawer = ik.model.quantity_named(model, f"{UNTESTED}@{trial}")
     found = profile(problem, optimum_of(data), drawer)
     truth = drawer.evaluate(truth_of(problem.parameters))[0]
     return {"trial": trial, **short(found, truth)}

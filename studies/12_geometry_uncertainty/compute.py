@@ -107,7 +107,7 @@ def replicate_row(knee: ik.Knee, task: Row) -> Row:
         for name, value in zip(parameters.names, its.truth, strict=True)
     ]
     wanted += [
-        (ik.model.LigamentForce(model=model, ligament=ligament, trial=trial), float(force))
+        (ik.model.quantity_named(model, f"{ligament}.tension_N@{trial}"), float(force))
         for (ligament, trial), force in zip(its.peaks, its.peak_forces, strict=True)
     ]
     deviances, best = constrained_deviances(evaluator, best, wanted)

@@ -134,7 +134,7 @@ def replicate_row(knee: ik.Knee, task: Row) -> Row:
     if not best.evaluation.is_finite:
         return {**task, "theta": None}
     forces = [
-        ik.model.LigamentForce(model=setup.model, ligament=ligament, trial=trial)
+        ik.model.quantity_named(setup.model, f"{ligament}.tension_N@{trial}")
         for ligament, trial in its.peaks
     ]
     wanted: list[tuple[ik.calibrate.Quantity, float]] = [

@@ -10,7 +10,7 @@ from tolerances import SAME_POSE
 
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel, Prediction
-from identknee.model.quantities import tensions_of
+from identknee.model.line_loads import tensions_of
 
 
 @given(

@@ -14,11 +14,13 @@ from energy_evaluation import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from identknee.laxity.protocol import Protocol
 from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.laxity_model import ContactGeometry, LaxityModel, Prediction
-from identknee.model.quantities import tensions_of
-from identknee.runs.arrays import Array
+from identknee.model.line_loads import tensions_of
+from identknee.model.quantities import quantity_named
+from identknee.runs.arrays import Array, IntArray
 
 # Simpson's rule over forces whose slope jumps where a point begins to touch: the worst of 1,500
 # paths errs by 3e-6 of the largest force.
@@ -57,8 +59,10 @@ def test_work_along_a_path_is_the_energy_stored(
     )
 
 
-def _contact_forces(joint: ContactGeometry, flexion: float, pose: Array) -> tuple[Array, Array]:
-    """Force of the femur on every tibial point [N] and where it acts, by brute force."""
+def _contact_forces(
+    joint: ContactGeometry, flexion: float, pose: Array
+) -> tuple[Array, Array, IntArray]:
+    """Force of the femur on tibial points [N], where it acts and which they are, by brute force."""
     places = femoral_places(flexion, pose, joint.contact.points)
     depth = depths(joint, flexion, pose)
     inside = depth < 0.0
@@ -68,7 +72,7 @@ def _contact_forces(joint: ContactGeometry, flexion: float, pose: Array) -> tupl
         for x in step * np.eye(3)
     ]
     size = PRESSURE_MODULUS * joint.contact.areas[inside] * depth[inside]
-    return -size[:, None] * np.transpose(slopes), places
+    return -size[:, None] * np.transpose(slopes), places, np.flatnonzero(inside)
 
 
 @given(trial=st.integers(0, 62), seed=seeds)
@@ -84,7 +88,7 @@ def test_forces_on_the_tibia_balance(reference_model: LaxityModel, trial: int, s
     if not found.all_converged:
         return
     flexion, pose = float(np.radians(single.protocol.flexion_deg[0])), found.poses[0]
-    forces, places = _contact_forces(single.joint, flexion, pose)
+    forces, places, _ = _contact_forces(single.joint, flexion, pose)
     rotation = rotation_matrix(flexion, pose[0], pose[1])
     origin = rotation_matrix(flexion, 0.0, 0.0) @ pose[2:]
     tibial = single.joint.lines.tibial @ rotation.T + origin
@@ -99,3 +103,53 @@ def test_forces_on_the_tibia_balance(reference_model: LaxityModel, trial: int, s
     superior, floating = rotation[:, 1], rotation_matrix(flexion, 0.0, 0.0)[:, 0]
     assert moment @ superior == pytest.approx(-internal, abs=40.0 * BALANCE_N)
     assert moment @ floating == pytest.approx(-varus, abs=40.0 * BALANCE_N)
+
+
+@given(
+    seed=seeds,
+    flexion_deg=st.sampled_from([0.0, 30.0, 60.0]),
+    load=st.tuples(st.floats(-40, 40), st.floats(-400, -50), st.floats(-20, 20)),
+)
+def test_named_contact_and_tensions_are_what_balances_an_applied_force(
+    reference_model: LaxityModel, seed: int, flexion_deg: float, load: tuple[float, float, float]
+) -> None:
+    """Along all three axes, none of which the rig holds.
+
+    The forces of a compartment's elements, of which the quantity is the sum of sizes and the place
+    the mean, add up in space with the tensions to the opposite of the load.
+    """
+    anterior, distraction, lateral = load
+    protocol = Protocol(
+        name="one",
+        trials=("pushed",),
+        flexion_deg=np.array([flexion_deg]),
+        loads=np.array([[0.0, 0.0, anterior, distraction, lateral]]),
+    )
+    model = reference_model.with_protocol(protocol)
+    theta = random_parameters(reference_model, np.random.default_rng(seed), share=0.1, pct=0.5)
+    found = model.predict(theta)
+    if not found.all_converged:
+        return
+    flexion, pose = float(np.radians(flexion_deg)), found.poses[0]
+    forces, _, which = _contact_forces(model.joint, flexion, pose)
+    points, compartment = model.joint.contact.points[which], model.joint.contact.compartment[which]
+    for c, side in enumerate(("medial", "lateral")):
+        size = np.linalg.norm(forces[compartment == c], axis=1)
+        values = [
+            quantity_named(model, f"contact.{side}_{x}@pushed").value(found)
+            for x in ("N", "x_mm", "y_mm", "z_mm")
+        ]
+        assert values[0] == pytest.approx(size.sum(), abs=BALANCE_N)
+        if values[0] > 1.0:
+            centre = size @ points[compartment == c] / size.sum()
+            assert values[1:] == pytest.approx(centre.tolist(), abs=BALANCE_N)
+    tensions = [
+        quantity_named(model, f"{x.name}.tension_N@pushed").value(found)
+        for x in model.knee.ligaments
+    ]
+    flexed = rotation_matrix(flexion, 0.0, 0.0)
+    tibial = femoral_places(flexion, pose, model.joint.lines.tibial)
+    along = model.joint.lines.femoral - tibial
+    pulls = np.array(tensions)[:, None] * along / np.linalg.norm(along, axis=1)[:, None]
+    applied = flexed @ [anterior, -distraction, lateral]
+    assert np.abs(forces.sum(axis=0) + pulls.sum(axis=0) + applied).max() <= BALANCE_N

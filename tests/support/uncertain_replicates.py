@@ -13,7 +13,7 @@ from identknee.blind.conditions import Conditions
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
 from identknee.calibrate.problem import Evaluator
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import LigamentForce
+from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 from identknee.verbs.identification import identification
@@ -108,7 +108,7 @@ def _held_forces(
     found = []
     for ligament, tension in zip(model.knee.ligaments, case.tensions[kept].T, strict=True):
         most = int(tension.argmax())
-        quantity = LigamentForce(model=model, ligament=ligament.name, trial=trials[most])
+        quantity = quantity_named(model, f"{ligament.name}.tension_N@{trials[most]}")
         fits = []
         for start in (free.evaluation.theta, near_truth):
             fits.append(

@@ -24,6 +24,7 @@ from identknee.calibrate.problem import (
     evaluate,
     thin_svd,
     typical_steps,
+    value_at,
 )
 from identknee.identify.profile.result import (
     Profile,
@@ -573,7 +574,7 @@ class _Run:
             walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
             walk.is_final = n_restarts == MOST_RESTARTS
             try:
-                value, gradient = self.quantity.evaluate(optimum.theta)
+                value, gradient = value_at(self.quantity, optimum.theta)
                 origin = walk.point(walk.solve(value, optimum.theta, tolerance=np.inf))
                 if not gradient.any():
                     branches = constant_branches(walk, origin)
@@ -728,6 +729,8 @@ def profile_quantities(
             description="polishing",
         )
         theta = np.array(polished)
+        for quantity in quantities:
+            value_at(quantity, theta)
         kept = resumable_map(
             partial(_profiled, problem, theta, asked, {**settings, "starts": starts}),
             range(len(asked)),

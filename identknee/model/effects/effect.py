@@ -6,7 +6,7 @@ effects together, as one batch. Their changes of the lines are a table of differ
 derivatives of the gradient by the entries of the table are computed once for all amplitudes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ import numpy as np
 
 from identknee.mechanics.contact_points import contact_motion_columns
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import line_gradients
+from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.mechanics.memory import Equilibria
 from identknee.model.mechanics_inputs import (
     MechanicsInputs,
@@ -27,7 +27,7 @@ from identknee.model.mechanics_inputs import (
 )
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import array, declared, entry
 
 
 class Effect(Protocol):
@@ -337,13 +337,96 @@ def gradient_columns(
     """
     flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
     columns = np.zeros((len(nodes), 5, len(values)))
-    copies = _Replicas(len(values))
-    table = _table(settings[-1])
-    moves = np.zeros((len(values), *table.shape))
-    for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
+    perturbed = _perturbed(effects, settings, values, steps)
+    for turns, shifts, part in perturbed.frames:
+        surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
+        columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
+    for (effect, part), before in zip(effects, settings, strict=False):
         if is_self_contained(effect):
             framed = replace(before, frames=settings[-1].frames)
             columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
+    changes = _gradient_differences(_table(settings[-1]), perturbed.moves, flexion, poses)
+    changes += perturbed.copies.by_nodes(found, nodes)
+    return np.asarray(columns + changes / (2.0 * steps))
+
+
+@declared
+class LineSlopes:
+    """Derivatives of m lines by the amplitudes at fixed poses."""
+
+    tensions: Array = array("Of the tensions", "pose", "line", "amplitude")
+    strains: Array = array("Of the strains", "pose", "line", "amplitude")
+    stiffness: Array = array("Of the stiffness [N]", "line", "amplitude")
+
+
+def line_slopes(
+    effects: Sequence[Placed],
+    settings: Sequence[MechanicsInputs],
+    values: Array,
+    steps: Array,
+    poses: Array,
+    nodes: IntArray,
+) -> LineSlopes:
+    """Derivatives of tensions and strains of all lines by the amplitudes at poses ``(n, 5)``.
+
+    Parameters
+    ----------
+    effects, settings, values, steps, nodes
+        As for `gradient_columns`.
+    poses
+        Pose of each trial, shape ``(n, 5)``.
+    """
+    last, flexion = settings[-1], settings[-1].flexion[nodes]
+    perturbed, table = _perturbed(effects, settings, values, steps), _table(last)
+    moves = perturbed.moves + _own_moves(effects, settings, values, steps)
+    line, entry, step, lines, laws = _moved_lines(table, moves)
+    found = ligament_tensions(lines, flexion, poses, *laws)
+    share = moves[:, line, entry] / (2.0 * step)
+    turned = perturbed.copies.flexion(len(last.flexion))[:, nodes]
+    by_flexion = [
+        ligament_tensions(
+            last.measured_lines, flexion + x, poses, last.stiffness, last.reference_strain
+        )
+        for x in (-FLEXION_STEP, FLEXION_STEP)
+    ]
+    slopes = []
+    for name in ("tensions", "strains"):
+        less, more = np.split(getattr(found, name), 2, axis=1)
+        low, high = (getattr(x, name) for x in by_flexion)
+        changes = ((high - low) / (2.0 * FLEXION_STEP))[:, :, None] * turned.T[:, None]
+        for i in range(len(table)):
+            own = line == i
+            changes[:, i] += (more - less)[:, own] @ share[:, own].T
+        slopes.append(changes / (2.0 * steps))
+    return LineSlopes(
+        tensions=slopes[0],
+        strains=slopes[1],
+        stiffness=moves[:, :, STIFFNESS_COLUMN].T / (2.0 * steps),
+    )
+
+
+@declared
+class _Perturbed:
+    """What small changes of the amplitudes, down and up, do to the inputs."""
+
+    copies: "_Replicas" = entry("Replicas of the inputs with one amplitude changed each")
+    moves: Array = entry(
+        "Differences of the table of lines, shape ``(a, m, 12)``; without those of self-contained "
+        "effects"
+    )
+    frames: tuple[tuple[Array, Array, slice], ...] = entry(
+        "Axes and origins of measured frames, and the amplitudes that they belong to"
+    )
+
+
+def _perturbed(
+    effects: Sequence[Placed], settings: Sequence[MechanicsInputs], values: Array, steps: Array
+) -> _Perturbed:
+    copies = _Replicas(len(values))
+    table = _table(settings[-1])
+    moves, frames = np.zeros((len(values), *table.shape)), []
+    for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
+        if is_self_contained(effect):
             continue
         copies.change(effect, values[part], after)
         each = central_difference_values(values[part], steps[part])
@@ -354,13 +437,29 @@ def gradient_columns(
                 place = slice(3 * bone, 3 * bone + 3)
                 moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
                 moves[part, :, place] = moved[1::2] - moved[::2]
-            surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
-            columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
+            frames.append((turns, shifts, part))
         else:
             copies.add(effect, before, after, each, first=part.start)
     moves += copies.moves(len(table))
-    changes = _gradient_differences(table, moves, flexion, poses) + copies.by_nodes(found, nodes)
-    return np.asarray(columns + changes / (2.0 * steps))
+    return _Perturbed(copies=copies, moves=moves, frames=tuple(frames))
+
+
+def _own_moves(
+    effects: Sequence[Placed], settings: Sequence[MechanicsInputs], values: Array, steps: Array
+) -> Array:
+    """Differences of the table of lines by the amplitudes of self-contained effects."""
+    last = settings[-1]
+    moves = np.zeros((len(values), len(last.stiffness), N_COLUMNS))
+    for (effect, part), before, after in zip(effects, settings, settings[1:], strict=False):
+        if is_self_contained(effect):
+            own = slice(len(before.stiffness), len(after.stiffness))
+            each = central_difference_values(values[part], steps[part])
+            made = [_table(replace(effect.change(before, x), frames=last.frames)) for x in each]
+            tables = np.array([x[own] for x in made]).reshape(
+                -1, 2, own.stop - own.start, N_COLUMNS
+            )
+            moves[part, own] = tables[:, 1] - tables[:, 0]
+    return moves
 
 
 def central_difference_values(values: Array, steps: Array) -> Array:
@@ -448,6 +547,14 @@ class _Replicas:
         changes[:, :, moved] += np.moveaxis(loads[::2] - loads[1::2] + by_flexion, 0, 2)
         return changes
 
+    def flexion(self, n_nodes: int) -> Array:
+        """Differences of the flexion of each node [rad], shape ``(a, n_nodes)``."""
+        differences = np.zeros((self._n_values, n_nodes))
+        if self._all is not None and self._of_nodes:
+            flexion = self._all.flexion.reshape(-1, n_nodes)[1:]
+            differences[np.array(self._of_nodes[::2]) // 2] = flexion[1::2] - flexion[::2]
+        return differences
+
     def moves(self, n_lines: int) -> Array:
         """Differences of the table of lines, each amplitude's second copy less its first."""
         moves = np.zeros((self._n_values, n_lines, 12))
@@ -465,6 +572,26 @@ class _Replicas:
 
 def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
     """Change of the gradient by small `moves` (a, m, 12) of a table of lines, ``(n, 5, a)``."""
+    line, entry, step, lines, laws = _moved_lines(table, moves)
+    less, more = np.split(line_gradients(lines, flexion, poses, *laws), 2, axis=1)
+    share = moves[:, line, entry] / (2.0 * step)
+    return np.asarray(np.swapaxes(share @ (more - less), 1, 2))
+
+
+def _moved_lines(
+    table: Array, moves: Array
+) -> tuple[IntArray, IntArray, Array, LineLigaments, tuple[Array, Array]]:
+    """Lines with one entry of the table each moved down, then up, as far as `moves` (a, m, 12) go.
+
+    Returns
+    -------
+    line, entry
+        Which line each of the k is, and which entry of its row is moved, shape ``(k,)``.
+    step
+        How far, the farthest that any amplitude moves it, shape ``(k,)``.
+    lines, laws
+        The ``2 k`` lines, their stiffness and reference strain.
+    """
     steps = np.abs(moves).max(axis=0, initial=0.0)
     line, entry = np.nonzero(steps > SMALLEST_DIFFERENCE * (1.0 + np.abs(table)))
     low, high = table[line], table[line]
@@ -480,11 +607,11 @@ def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Arr
         wrap_offset=both[:, 8],
         wrap_place=both[:, 9],
     )
-    less, more = np.split(
-        line_gradients(lines, flexion, poses, both[:, 10], both[:, 11]), 2, axis=1
-    )
-    share = moves[:, line, entry] / (2.0 * step)
-    return np.asarray(np.swapaxes(share @ (more - less), 1, 2))
+    return line, entry, step, lines, (both[:, STIFFNESS_COLUMN], both[:, STIFFNESS_COLUMN + 1])
+
+
+# Of the table of lines: how many columns, and which has the stiffness.
+N_COLUMNS, STIFFNESS_COLUMN = 12, 10
 
 
 def _table(setting: MechanicsInputs) -> Array:
@@ -499,6 +626,7 @@ def _table(setting: MechanicsInputs) -> Array:
 # central difference is right to the square of this.
 STEP = 1e-6
 COORDINATE_STEP = 1e-4  # mm, deg
+FLEXION_STEP = 1e-5  # rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -611,9 +739,53 @@ class EffectStack:
         slopes[:, :, moved] = np.moveaxis(high - low, 0, 2) / (2.0 * steps[moved])
         return slopes[:, :, :5], slopes[:, :, 5:]
 
-    def moves(self) -> Array:
-        """A small change of each amplitude alone, shape ``(a, a)``."""
-        return np.diag(self._steps)
+    def line_slopes(
+        self,
+        settings: Sequence[MechanicsInputs],
+        values: Array,
+        poses: Array,
+        nodes: IntArray,
+    ) -> LineSlopes:
+        """Derivatives of all lines by the amplitudes at poses ``(n, 5)`` of trials at nodes."""
+        return line_slopes(self._mechanical, settings, values, self._steps, poses, nodes)
+
+    def contact_pairs(
+        self, settings: Sequence[MechanicsInputs], values: Array
+    ) -> Iterator[tuple[int, float, MechanicsInputs, MechanicsInputs]]:
+        """Inputs with an amplitude a little smaller and larger, where that changes the contact.
+
+        That is where it changes frames, flexion or the contact law. Each comes with the place of
+        the amplitude and the difference. Effects that leave all three as they are do not act.
+        """
+        acting = [
+            (effect, part, before)
+            for (effect, part), (before, after) in zip(
+                self._mechanical, pairwise(settings), strict=True
+            )
+            if after.frames is not before.frames
+            or after.flexion is not before.flexion
+            or after.law is not before.law
+        ]
+        for i, (effect, part, before) in enumerate(acting):
+            each = central_difference_values(values[part], self._steps[part])
+            ends = []
+            for changed in each:
+                setting = effect.change(before, changed)
+                for later, own, _ in acting[i + 1 :]:
+                    setting = later.change(setting, values[own])
+                ends.append(setting)
+            for k, (low, high) in enumerate(zip(ends[::2], ends[1::2], strict=True)):
+                place = part.start + k
+                yield place, float(2.0 * self._steps[place]), low, high
+
+    def added_lines(self, settings: Sequence[MechanicsInputs]) -> tuple[str, ...]:
+        """The effect that added each line which belongs to no ligament, in their order."""
+        counts = [int((x.owner < 0).sum()) for x in settings]
+        return tuple(
+            effect.name
+            for (effect, _), (before, after) in zip(self._mechanical, pairwise(counts), strict=True)
+            for _ in range(after - before)
+        )
 
 
 def joined(parts: Sequence[Parameters]) -> Parameters:

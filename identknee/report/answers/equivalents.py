@@ -26,6 +26,9 @@ STIFFNESS = "stiffness_kN"
 MOST_FORCES = 12
 # Forces in a figure.
 MOST_DRAWN = 16
+FORCE_UNIT = "N"
+# Other predictions in a sentence.
+MOST_NAMED = 2
 # What ends a range as a rule.
 USUAL = {ExtremumEnd.LIMIT, ExtremumEnd.INTERIOR}
 
@@ -51,6 +54,10 @@ def _table(ranges: Iterable[Extrema], title: str) -> Table:
 
 def _widest_first(ranges: Iterable[Extrema]) -> Sequence[Extrema]:
     return sorted(ranges, key=lambda x: -_width(x))
+
+
+def _forces(ranges: Iterable[Extrema]) -> Iterator[Extrema]:
+    return (x for x in ranges if x.unit == FORCE_UNIT)
 
 
 def _width(x: Extrema) -> float:
@@ -90,7 +97,7 @@ class EquivalentsPresenter(Presenter[Equivalents]):
             _table(region.parameters.values(), "Ranges over all equivalent sets"),
             is_answer=True,
         )
-        forces = _widest_first(region.quantities.values())
+        forces = _widest_first(_forces(region.quantities.values()))
         if forces:
             widest, shown = forces[0], forces[:MOST_FORCES]
             several = (
@@ -102,6 +109,13 @@ class EquivalentsPresenter(Presenter[Equivalents]):
                 f"{between(_ends(widest), widest.unit)}.{several}",
                 _table(shown, "Forces that differ most"),
             )
+        others = [x for x in region.quantities.values() if x.unit != FORCE_UNIT]
+        if others:
+            said = [
+                f"{parameter_words(x.name)} lies anywhere {between(_ends(x), x.unit)}"
+                for x in others[:MOST_NAMED]
+            ]
+            yield self.say(f"Among such sets, {listed(said)}.", _table(others, "Other predictions"))
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:
@@ -119,7 +133,7 @@ class EquivalentsPresenter(Presenter[Equivalents]):
             description=f"{region.n_sets} equivalent sets of {listed(map(label, names))}, and the "
             "spread of their laxity.",
         )
-        forces = sorted(region.quantities.values(), key=lambda x: x.smallest - x.largest)
+        forces = _widest_first(_forces(region.quantities.values()))
         if widest := forces[:MOST_DRAWN]:
             shown = [label_without_unit(x.name) for x in widest]
             ends = np.array([(x.smallest, x.largest) for x in widest])
@@ -129,10 +143,8 @@ class EquivalentsPresenter(Presenter[Equivalents]):
             named = [f"{x}, {y:.0f} N" for x, y in zip(shown, at_fit, strict=True)]
             yield Drawing(
                 name="force-ranges",
-                figure=ranges_figure(
-                    named, 0.0 * at_fit, apart, unit="tension minus the fit's [N]"
-                ),
-                caption="Smallest and largest ligament force among these sets, where they differ "
+                figure=ranges_figure(named, 0.0 * at_fit, apart, unit="force minus the fit's [N]"),
+                caption="Smallest and largest force among these sets, where they differ "
                 "most, beside that of the fit (its name and size on the left).",
                 description=f"Force ranges; the widest is {shown[0]}, {ends[0, 0]:.0f} to "
                 f"{ends[0, 1]:.0f} N.",

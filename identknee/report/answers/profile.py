@@ -20,6 +20,7 @@ from identknee.runs.words import (
     amount,
     between,
     capitalised,
+    contact_words,
     label,
     listed,
     owner_words,
@@ -90,7 +91,7 @@ def quantity_clause(profile: Profile) -> str:
     if profile.verdict is ProfileVerdict.UNDETERMINED:
         return "is undecided, because a limit was not fully computed"
     if low == high == 0.0 and profile.unit == "N":
-        return "is slack"
+        return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
         return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
@@ -227,7 +228,7 @@ class ProfilesPresenter(Presenter[Profiles]):
         if profiles:
             yield self.say(
                 _quantity_sentences(profiles),
-                _table(profiles, "Forces and laxities that the data do not exclude"),
+                _table(profiles, "Predictions that the data do not exclude"),
             )
         for pair in answer.pairs:
             closed = sum(x.status is SideStatus.CLOSED for x in pair.rays)

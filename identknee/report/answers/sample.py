@@ -19,7 +19,7 @@ from identknee.report.tables import table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
-from identknee.verbs.sample import Sample
+from identknee.verbs.sample import Marginal, PredictedMarginal, Sample
 
 STIFFNESS = "stiffness_kN"
 MOST_DRAWS = 400
@@ -117,6 +117,18 @@ class SamplePresenter(Presenter[Sample]):
                 ),
             ),
         )
+        if answer.quantities:
+            yield self.say(
+                "Predictions at draws of the posterior, without noise.",
+                table(
+                    "Posterior of the predictions",
+                    [(x, None) for x in ("prediction", "mean", "sd", "2.5 %", "97.5 %", "draws")],
+                    (
+                        (label(name), x.mean, x.sd, x.q025, x.q975, x.n_draws)
+                        for name, x in answer.quantities.items()
+                    ),
+                ),
+            )
         yield self.say(f"{answer.excluded} The sample took {answer.n_simulations} simulations.")
         if answer.nested is not None:
             nested = answer.nested
@@ -184,7 +196,11 @@ class SamplePresenter(Presenter[Sample]):
     @override
     def ranges(self, answer: Sample) -> Iterator[tuple[str, Range]]:
         status = "probable" if answer.outcome is SampleOutcome.CONVERGED else NOT_CONVERGED
-        for name, x in answer.parameters.items():
+        marginals: dict[str, Marginal | PredictedMarginal] = {
+            **answer.parameters,
+            **answer.quantities,
+        }
+        for name, x in marginals.items():
             yield (
                 name,
                 Range(
@@ -197,4 +213,8 @@ class SamplePresenter(Presenter[Sample]):
             draws = tension.reshape(-1, *tension.shape[-2:])
             known = np.isfinite(draws).any(axis=0)
             limits = np.nanquantile(np.where(known, draws, 0.0), TAILS, axis=0)
-            yield from _force_ranges(np.where(known, limits, np.nan), trials, ligaments, status)
+            for name, force in _force_ranges(
+                np.where(known, limits, np.nan), trials, ligaments, status
+            ):
+                if name not in marginals:
+                    yield name, force

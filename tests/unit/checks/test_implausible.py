@@ -7,7 +7,7 @@ import pytest
 
 import identknee as ik
 from identknee.checks.fit_checks import implausible_findings
-from identknee.model.quantities import tensions_of
+from identknee.model.line_loads import tensions_of
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,13 @@ def test_contact_on_one_side_alone_is_said(model: ik.LaxityModel) -> None:
     prediction = model.predict(model.parameters.start, derivatives=False)
     centres = np.array(prediction.centres)
     centres[:, :, 0] = [850.0, 20.0]
-    (found,) = implausible_findings(model, replace(prediction, centres=centres))
+    pressed = replace(prediction, centres=centres)
+    (found,) = implausible_findings(model, pressed)
+    # The same number by name.
+    trial = model.protocol.trials[0]
+    for name in ("medial_N", "lateral_N"):
+        quantity = ik.model.quantity_named(model, f"contact.{name}@{trial}")
+        assert quantity.value(pressed) == found.values[name]
     assert (found.code, found.where) == ("one-sided-contact", "contact")
     assert (found.values["medial_N"], found.values["lateral_N"]) == (850.0, 20.0)
     centres[:, :, 0] = [450.0, 400.0]

@@ -58,6 +58,21 @@ def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
         assert part in told
 
 
+def test_predictions_of_any_kind_have_ranges(table: Path, tmp_path: Path) -> None:
+    trial = "flexion30_varus4Nm"
+    names = [f"contact.medial_N@{trial}", f"MCL.strain_pct@{trial}", f"varus_deg@{trial}"]
+    asked = [x for name in names for x in ("--quantity", name)]
+    words = (*VERB, table, "--n-sets", 3, *HELD, "--forces", "none", *asked)
+    result = run(*words, "--out", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)["quantities"]
+    assert list(found) == names
+    for x in found.values():
+        assert x["lower"] < x["fit"] < x["upper"]
+    # The MCL is slack under a varus moment.
+    assert found[names[1]]["upper"] < 0.0 < found[names[0]]["lower"]
+
+
 def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:
     words = ("--criterion", "paper", "--limit", "0.01", "--n-sets", 5, "--forces", "none")
     result = run(*VERB, table, *words, *HELD, "--out", tmp_path, "--json")

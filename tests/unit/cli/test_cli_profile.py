@@ -1,6 +1,7 @@
 """`identknee profile`, from its words to its files and sentences."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import xarray
 from cli_runs import refused, run
 
 import identknee as ik
+from identknee.subject.knee import LigamentGroup
 
 # What stays free beside the two costs time and changes nothing that is asked here.
 HELD = [
@@ -55,6 +57,44 @@ def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> Non
         assert {"profile", "profile_quantities"} <= set(tree.children)
 
 
+def test_a_grouped_knee_is_asked_for_its_groups_and_contact(noisy: Path) -> None:
+    crossed = LigamentGroup(name="cruciates", members=("ACL", "PCL"))
+    knee = replace(ik.reference_knee(), groups=(crossed,))
+    trial = ik.read_laxity(noisy).protocol.trials[0]
+    contact = [
+        f"contact.medial_N@{trial}",
+        f"contact.lateral_z_mm@{trial}",
+        f"ACL.strain_pct@{trial}",
+    ]
+    answer = ik.profile(
+        *(knee, noisy),
+        parameters=["LCL.stiffness_kN"],
+        quantities=contact,
+        forces=[trial],
+        fixed=["LCL.reference_strain_pct", "MCL.stiffness_kN", "MCL.reference_strain_pct"],
+        noise="0.5mm,0.5deg",
+        budget=12,
+    )
+    forces = [f"{x}.tension_N@{trial}" for x in ("cruciates", "LCL", "MCL")]
+    assert list(answer.quantities) == [*contact, *forces]
+    medial, lateral_z, _ = (answer.quantities[x] for x in contact)
+    assert medial.optimum_value > 0.0
+    assert 10.0 < lateral_z.optimum_value < 40.0
+    assert [answer.quantities[x].unit for x in contact] == ["N", "mm", "%"]
+
+
+def test_a_trial_without_prediction_at_the_fit_is_named(noisy: Path, tmp_path: Path) -> None:
+    path = tmp_path / "far.toml"
+    path.write_text(
+        'format = 1\nname = "far"\n[[ramps]]\nflexion_deg = [30]\n'
+        'load = "internal_moment_Nm"\nvalues = [45]\n',
+        encoding="utf-8",
+    )
+    name = "LCL.tension_N@flexion30_internal45Nm"
+    words = ("profile", "reference", noisy, *TWO, *HELD, "--trials", path, "--quantity", name)
+    assert f"{name} has no prediction at the fit" in refused(*words, "--out", tmp_path)
+
+
 def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path) -> None:
     words = ("profile", "reference", noisy, *TWO, *HELD, "--out", tmp_path)
     assert run(*words).exit_code == 0
@@ -71,6 +111,8 @@ def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path)
         (("--parameter", "LCL.stifness"), "parameter 'LCL.stifness'"),
         (("--pair", "LCL.stiffness_kN"), "second name"),
         (("--quantity", "varus"), "'varus'"),
+        (("--quantity", "contact.force_N@a"), "contact.medial_N@TRIAL"),
+        (("--forces", "nowhere"), "trial 'nowhere'"),
         (("--level", "1.5"), "0 and 1, got 1.5"),
         (("--pair", "LCL.stiffness_kN,LCL.stiffness_kN"), "different parameters"),
         (("--workers", "0"), "'--workers'"),

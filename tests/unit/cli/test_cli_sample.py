@@ -30,6 +30,7 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
     assert summary["outcome"] == "budget"
+    assert summary["quantities"] == {}
     assert summary["rhat_max"] > 0.9
     assert summary["ess_min"] > 0
     assert set(summary["gate"]) >= {"steps_per_tau", "tau_drift", "mean_error"}
@@ -53,6 +54,19 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
     again = run(*words, "--json")
     repeated = json.loads(again.stdout)
     assert repeated["parameters"] == summary["parameters"]
+    # Predictions can be asked for afterwards: the draws are those that are stored.
+    name, force = "contact.lateral_N@flexion30_varus4Nm", "LCL.tension_N@flexion30_varus4Nm"
+    more = run(*words, "--quantity", name, "--quantity", force, "--json")
+    assert more.exit_code == 0, more.output
+    asked = json.loads(more.stdout)
+    assert asked["parameters"] == summary["parameters"]
+    assert asked["quantities"][name]["q025"] < asked["quantities"][name]["mean"]
+    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+        predictive = tree["posterior_predictive"]
+        draws = predictive["quantities"].sel(quantity=force)
+        tension = predictive["tension_N"].sel(trial="flexion30_varus4Nm", ligament="LCL")
+        assert np.array_equal(draws, tension)
+        assert float(draws.mean()) == pytest.approx(asked["quantities"][force]["mean"])
 
 
 def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> None:

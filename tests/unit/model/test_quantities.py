@@ -1,4 +1,4 @@
-"""Ligament forces and laxities as quantities: exact gradients, one simulation for all of them."""
+"""Predictions by name: what each is, exact gradients, one simulation for all of them."""
 
 import pickle
 from collections.abc import Callable
@@ -13,16 +13,10 @@ from tolerances import CLOSED_FORM
 from identknee.laxity.protocol import Protocol
 from identknee.model import laxity_model as joint
 from identknee.model import quantities
+from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import (
-    LigamentForce,
-    PredictedLaxity,
-    ligament_forces,
-    predicted_quantities,
-    quantity_named,
-    tension_jacobian,
-    tensions_of,
-)
+from identknee.model.line_loads import structure_loads, tensions_of
+from identknee.model.quantities import force_names, ligament_forces, quantity_named
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 
@@ -52,8 +46,14 @@ def _difference(function: Callable[[Array], Array], theta: Array, k: int) -> Arr
 @pytest.mark.parametrize("factor", [1.0, 1.02])
 def test_gradients_are_those_of_high_order_differences(small: LaxityModel, factor: float) -> None:
     theta = small.parameters.center * factor
-    found = predicted_quantities(small, theta)
-    assert found.tensions.shape == (6, 4)
+    found = small.predict(theta)
+    loads = structure_loads(small, found)
+    assert found.jacobian is not None
+    assert loads.tensions.shape == (6, 4)
+    contact = np.array([contact_jacobian(small, found, i) for i in range(6)])
+
+    def contacts(at: Array) -> Array:
+        return contact_values(small.predict(at, derivatives=False))
 
     def tensions(at: Array) -> Array:
         return tensions_of(small, small.predict(at, derivatives=False))
@@ -63,27 +63,54 @@ def test_gradients_are_those_of_high_order_differences(small: LaxityModel, facto
 
     for k in range(theta.size):
         for function, exact in (
-            (tensions, found.tension_jacobian),
-            (coordinates, found.coordinate_jacobian),
+            (tensions, loads.tension_jacobian),
+            (coordinates, found.jacobian),
+            (contacts, contact),
         ):
-            error = np.abs(_difference(function, theta, k) - exact[:, :, k]).max()
-            assert error <= HIGH_ORDER * np.abs(exact[:, :, k]).max()
+            error = np.abs(_difference(function, theta, k) - exact[..., k]).max()
+            assert error <= HIGH_ORDER * np.abs(exact[..., k]).max()
 
 
-def test_a_force_and_a_laxity_are_entries_of_the_whole(small: LaxityModel) -> None:
+def test_each_kind_is_an_entry_of_the_whole(small: LaxityModel) -> None:
     theta = small.parameters.center
-    found = predicted_quantities(small, theta)
-    trial = small.protocol.trials.index(TRIAL)
-    force = LigamentForce(model=small, ligament="outer", trial=TRIAL)
-    value, gradient = force.evaluate(theta)
-    assert (force.name, force.unit) == ("outer.tension_N@anterior", "N")
-    assert value == found.tensions[trial, 2] > 0.0
-    np.testing.assert_array_equal(gradient, found.tension_jacobian[trial, 2])
-    laxity = PredictedLaxity(model=small, coordinate="anterior_drawer_mm", trial=TRIAL)
-    value, gradient = laxity.evaluate(theta)
-    assert (laxity.name, laxity.unit) == ("anterior_drawer_mm@anterior", "mm")
-    assert value == found.coordinates[trial, 1]
-    np.testing.assert_array_equal(gradient, found.coordinate_jacobian[trial, 1])
+    found = small.predict(theta)
+    loads, trial = structure_loads(small, found), small.protocol.trials.index(TRIAL)
+    assert found.jacobian is not None
+    contact = contact_jacobian(small, found, trial)
+    for what, unit, value, gradient in (
+        ("outer.tension_N", "N", loads.tensions[trial, 2], loads.tension_jacobian[trial, 2]),
+        ("outer.strain_pct", "%", loads.strains[trial, 2], loads.strain_jacobian[trial, 2]),
+        ("contact.medial_N", "N", contact_values(found)[trial, 0, 0], contact[0, 0]),
+        ("contact.lateral_x_mm", "mm", contact_values(found)[trial, 1, 1], contact[1, 1]),
+        ("contact.lateral_z_mm", "mm", contact_values(found)[trial, 1, 3], contact[1, 3]),
+        ("anterior_drawer_mm", "mm", found.coordinates[trial, 1], found.jacobian[trial, 1]),
+    ):
+        quantity = quantity_named(small, f"{what}@{TRIAL}")
+        own, slopes = quantity.evaluate(theta)
+        assert (quantity.name, quantity.unit) == (f"{what}@anterior", unit)
+        assert own == pytest.approx(value, rel=CLOSED_FORM)
+        assert own == pytest.approx(quantity.value(found), rel=CLOSED_FORM)
+        assert own != 0.0
+        np.testing.assert_allclose(slopes, gradient, rtol=CLOSED_FORM)
+
+
+def test_strain_follows_from_tension_where_taut_and_is_negative_where_slack(
+    small: LaxityModel,
+) -> None:
+    theta = small.parameters.vector({"front.reference_strain_pct": -14.0})
+    loads = structure_loads(small, small.predict(theta))
+    stiffness = 1000.0 * theta[:4]
+    taut = loads.tensions > 0.0
+    share = loads.tensions / stiffness
+    toe = share < 0.03
+    expected = np.where(toe, 200.0 * np.sqrt(0.03 * share), 100.0 * (share + 0.03))
+    np.testing.assert_allclose(loads.strains[taut], expected[taut], rtol=1e-9)
+    assert (~taut).any()
+    assert (loads.strains[~taut] <= 0.0).all()
+    # A slack ligament's strain moves with its reference strain, its tension does not.
+    slack = ~taut[:, 0]
+    assert (loads.strain_jacobian[slack, 0, 4] > 0.5).all()
+    assert not loads.tension_jacobian[slack, 0].any()
 
 
 @pytest.fixture
@@ -97,7 +124,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Array]:
         return predict(self, theta, derivatives=derivatives)
 
     monkeypatch.setattr(LaxityModel, "predict", counted)
-    quantities._predicted.cache_clear()
+    for kept in (quantities._prediction, quantities._structure_loads, quantities._contact_jacobian):
+        kept.cache_clear()
     return calls
 
 
@@ -137,24 +165,26 @@ def test_a_trial_without_equilibrium_has_no_value_and_leaves_the_others_theirs(
     broken = small.with_protocol(replace(small.protocol, loads=loads))
     theta = small.parameters.center
     assert not broken.predict(theta).is_converged[1]
-    value, gradient = LigamentForce(model=broken, ligament="back", trial="internal").evaluate(theta)
-    assert np.isnan(value)
-    assert np.isnan(gradient).all()
-    value, gradient = LigamentForce(model=broken, ligament="back", trial=TRIAL).evaluate(theta)
-    assert np.isfinite([value, *gradient]).all()
+    for what in ("back.tension_N", "back.strain_pct", "contact.medial_N", "contact.medial_x_mm"):
+        quantity = quantity_named(broken, f"{what}@internal")
+        value, gradient = quantity.evaluate(theta)
+        assert np.isnan([value, quantity.value(broken.predict(theta)), *gradient]).all()
+        value, gradient = quantity_named(broken, f"{what}@{TRIAL}").evaluate(theta)
+        assert np.isfinite([value, *gradient]).all()
 
 
 def test_any_number_of_ligaments_of_any_name() -> None:
     model = LaxityModel(knee=posed_reference(), protocol=small_protocol().select([0, 3]))
     forces = ligament_forces(model)
-    assert [x.ligament for x in forces[:5]] == [*NAMES, FIFTH.name]
+    names = [x.what.removesuffix(".tension_N") for x in forces[:5]]
+    assert names == [*NAMES, FIFTH.name]
     gradients = [force.evaluate(model.parameters.center)[1] for force in forces]
     assert np.shape(gradients) == (10, 10)
     assert np.isfinite(gradients).all()
 
 
 def test_forces_cross_to_other_processes(small: LaxityModel) -> None:
-    force = LigamentForce(model=small, ligament="front", trial=TRIAL)
+    force = quantity_named(small, f"front.tension_N@{TRIAL}")
     again = pickle.loads(pickle.dumps(force))
     value, gradient = again.evaluate(small.parameters.center)
     expected, slope = force.evaluate(small.parameters.center)
@@ -163,12 +193,14 @@ def test_forces_cross_to_other_processes(small: LaxityModel) -> None:
 
 
 def test_names_are_read_back(small: LaxityModel) -> None:
-    laxity = PredictedLaxity(model=small, coordinate="varus_deg", trial=TRIAL)
-    named: list[LigamentForce | PredictedLaxity] = [*ligament_forces(small)[:2], laxity]
-    for quantity in named:
-        again = quantity_named(small, quantity.name)
-        assert type(again) is type(quantity)
-        assert again.name == quantity.name
+    names = [
+        *force_names(small, [TRIAL]),
+        f"contact.lateral_N@{TRIAL}",
+        f"back.strain_pct@{TRIAL}",
+        f"varus_deg@{TRIAL}",
+    ]
+    assert [quantity_named(small, x).name for x in names] == names
+    assert [x.name for x in ligament_forces(small)] == force_names(small, small.protocol.trials)
 
 
 @pytest.mark.parametrize(
@@ -178,6 +210,10 @@ def test_names_are_read_back(small: LaxityModel) -> None:
         ("ACL.tension_N@anterior", "there is no ligament 'ACL'; there are front, back"),
         ("front.tension_N@nowhere", "there is no trial 'nowhere'; there are unloaded"),
         ("varus@anterior", "there is no coordinate 'varus'; there are lateral_shift_mm"),
+        ("contact.force_N@anterior", r"write NAME.tension_N@TRIAL .* contact.medial_N@TRIAL"),
+        ("contact.medial_mm@anterior", r"contact.medial_x_mm@TRIAL"),
+        ("front.stiffness_kN@anterior", "is not the name of a predicted quantity"),
+        ("contact.tension_N@anterior", "there is no ligament 'contact'"),
     ],
 )
 def test_what_does_not_exist_is_named(small: LaxityModel, name: str, sentence: str) -> None:
@@ -207,4 +243,6 @@ def test_residuals_and_quantities_share_their_simulation(
 def test_derivatives_of_tensions_need_those_of_the_prediction(small: LaxityModel) -> None:
     found = small.predict(small.parameters.center, derivatives=False)
     with pytest.raises(ValueError, match="prediction has"):
-        tension_jacobian(small, found)
+        structure_loads(small, found)
+    with pytest.raises(ValueError, match="prediction has"):
+        contact_jacobian(small, found, 0)

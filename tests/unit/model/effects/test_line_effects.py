@@ -12,7 +12,7 @@ from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model import laxity_model as joint
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.quantities import tensions_of
+from identknee.model.line_loads import tensions_of
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee, Ligament
 

@@ -11,9 +11,9 @@ from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import tensions_of
 from identknee.model.mechanics_inputs import frames_at
 from identknee.model.nuisances import contact_rounding, insertions, nuisances_of
-from identknee.model.quantities import tensions_of
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Frame, Knee, Uncertainty
 

@@ -1,0 +1,261 @@
+"""Tensions and strains of lines, ligaments, groups and added structures, with derivatives."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
+from identknee.model.laxity_model import LaxityModel, Prediction, lines_by_units
+from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
+
+
+@declared
+class LineLoads:
+    """Tensions and strains of the m lines in n trials, with derivatives by p parameters.
+
+    NaN in trials that did not converge.
+    """
+
+    tensions: Array = array("Tensions", "trial", "line", unit="N")
+    strains: Array = array("Strains, negative where a line is slack", "trial", "line", unit="%")
+    tension_jacobian: Array = array(
+        "Derivatives of the tensions", "trial", "line", "parameter", unit="N per unit of each"
+    )
+    strain_jacobian: Array = array(
+        "Derivatives of the strains", "trial", "line", "parameter", unit="% per unit of each"
+    )
+    stiffness_jacobian: Array = array(
+        "Derivatives of the stiffness of each line", "line", "parameter", unit="N per unit of each"
+    )
+
+
+def line_loads(model: LaxityModel, prediction: Prediction) -> LineLoads:
+    """Tensions and strains of all lines in a prediction, effects included, with derivatives.
+
+    A parameter changes both directly and by moving the tibia. Their changes at a fixed pose are in
+    closed form; those by amplitudes of effects and nuisances are differences of that.
+
+    Raises
+    ------
+    ValueError
+        If the prediction was made without derivatives.
+    """
+    if prediction.pose_jacobian is None:
+        raise ValueError("tensions have derivatives only where the prediction has them")
+    theta, nodes, u = prediction.theta, model.paths.trial_node, model.tied.n
+    amplitudes, settings = model.amplitudes(theta), _settings(model, theta)
+    setting = settings[-1]
+    found = _of_lines(model, setting, prediction)
+    m = setting.stiffness.size
+    by_theta = lines_by_units(setting.owned(len(model.knee.ligaments)), setting.share, model.tied)
+    moved = np.nan_to_num(prediction.pose_jacobian)
+    tensions, strains = found.by_pose @ moved, found.strains_by_pose @ moved
+    tensions[:, :, : 2 * u] += found.by_stiffness[:, :, None] * by_theta[:m]
+    tensions[:, :, : 2 * u] += found.by_strain[:, :, None] * by_theta[m:]
+    strains[:, :, : 2 * u] += found.strains_by_strain[:, :, None] * by_theta[m:]
+    stiffness = np.zeros((m, theta.size))
+    stiffness[:, : 2 * u] = by_theta[:m]
+    if amplitudes.size:
+        slopes = model.extension.line_slopes(settings, amplitudes, prediction.poses, nodes)
+        tensions[:, :, 2 * u :] += slopes.tensions
+        strains[:, :, 2 * u :] += slopes.strains
+        stiffness[:, 2 * u :] = slopes.stiffness
+    is_lost = ~prediction.is_converged
+    values = np.array(found.tensions), found.strains / PER_PCT, tensions, strains / PER_PCT
+    for x in values:
+        x[is_lost] = np.nan
+    return LineLoads(
+        tensions=values[0],
+        strains=values[1],
+        tension_jacobian=values[2],
+        strain_jacobian=values[3],
+        stiffness_jacobian=stiffness,
+    )
+
+
+@declared
+class Structures:
+    """What the lines of a model are parts of, at one theta."""
+
+    names: tuple[str, ...] = entry(
+        "Names of all ligaments, then of the groups and of the structures that effects add"
+    )
+    member: Array = array("Which line is part of which, 1 or 0", "line", "structure")
+    weight: Array = array(
+        "Share of each line in the stiffness of the structure, also where that is zero",
+        *("line", "structure"),
+    )
+    stiffness: Array = array("Stiffness of each structure", "structure", unit="N")
+
+
+def structure_names(model: LaxityModel) -> tuple[str, ...]:
+    """Names of all that has a tension: ligaments, groups, structures that effects add."""
+    return structures(model, model.parameters.start).names
+
+
+def structures(model: LaxityModel, theta: Array) -> Structures:
+    """The ligaments, groups and added structures of a model, and their lines.
+
+    Springs of an effect, which push as well as they pull, are none.
+    """
+    settings = _settings(model, theta)
+    setting, tied = settings[-1], model.tied
+    owned = setting.owned(len(model.knee.ligaments))
+    shares = owned * setting.share[:, None]
+    members = dict(zip((x.name for x in model.knee.ligaments), owned.T, strict=True))
+    # What the lines of one without stiffness count: as much as with a little.
+    counts = dict(zip(members, shares.T, strict=True))
+    for name, member, share in zip(tied.names, tied.member.T, tied.by_stiffness.T, strict=True):
+        members.setdefault(name, owned @ member)
+        counts.setdefault(name, shares @ share)
+    added = np.full(len(owned), "", object)
+    added[setting.owner < 0] = model.extension.added_lines(settings)
+    added[np.asarray(setting.lines.transition) < 0.0] = ""
+    for name in dict.fromkeys(added[added != ""].tolist()):
+        members.setdefault(name, (added == name).astype(float))
+        counts.setdefault(name, members[name])
+    member = np.column_stack([*members.values()])
+    stiffness = setting.stiffness @ member
+    part = np.where(
+        stiffness > 0.0,
+        setting.stiffness[:, None] * member,
+        np.column_stack([*counts.values()]),
+    )
+    return Structures(
+        names=tuple(members),
+        member=member,
+        weight=part / part.sum(axis=0),
+        stiffness=stiffness,
+    )
+
+
+def _settings(model: LaxityModel, theta: Array) -> list[MechanicsInputs]:
+    """The inputs at theta, then with one more effect each time."""
+    return model.extension.changes(model.setting(theta, is_changed=False), model.amplitudes(theta))
+
+
+@declared
+class StructureLoads:
+    """Tensions and strains of ligaments, groups and added structures, with derivatives.
+
+    The tension of a structure is the sum of those of its lines. Its strain is the mean of theirs,
+    weighted by stiffness; it is negative where the structure is slack. NaN in trials that did not
+    converge.
+    """
+
+    names: tuple[str, ...] = entry("Names of the structures")
+    tensions: Array = array("Tensions", "trial", "structure", unit="N")
+    strains: Array = array("Strains", "trial", "structure", unit="%")
+    tension_jacobian: Array = array(
+        "Derivatives of the tensions", "trial", "structure", "parameter", unit="N per unit of each"
+    )
+    strain_jacobian: Array = array(
+        "Derivatives of the strains", "trial", "structure", "parameter", unit="% per unit of each"
+    )
+
+
+def structure_loads(model: LaxityModel, prediction: Prediction) -> StructureLoads:
+    """Tensions and strains of all structures in a prediction, with exact derivatives.
+
+    Raises
+    ------
+    ValueError
+        As `line_loads`.
+    """
+    lines, owners = line_loads(model, prediction), structures(model, prediction.theta)
+    strains = lines.strains @ owners.weight
+    # Where an amplitude changes the stiffness of one line of several, the mean moves towards it.
+    relative = np.divide(
+        owners.member,
+        owners.stiffness,
+        out=np.zeros(owners.member.shape),
+        where=owners.stiffness > 0,
+    )
+    apart = (lines.strains[:, :, None] - strains[:, None]) * relative
+    return StructureLoads(
+        names=owners.names,
+        tensions=lines.tensions @ owners.member,
+        strains=strains,
+        tension_jacobian=_summed(lines.tension_jacobian, owners.member),
+        strain_jacobian=_summed(lines.strain_jacobian, owners.weight)
+        + np.swapaxes(apart, 1, 2) @ lines.stiffness_jacobian,
+    )
+
+
+def _summed(jacobian: Array, weights: Array) -> Array:
+    """Sums of derivatives ``(n, m, p)`` of m lines, shape ``(n, structures, p)``."""
+    return np.asarray(weights.T @ jacobian)
+
+
+def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
+    """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
+
+    That of all its lines where an effect splits it into bundles. NaN in trials that did not
+    converge.
+    """
+    return _of_ligaments(model, prediction)[0]
+
+
+def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
+    """Strain of every ligament in every trial [%], shape ``(n, n_ligaments)``.
+
+    The mean over its lines, weighted by stiffness, where an effect splits it into bundles; negative
+    where it is slack. NaN in trials that did not converge.
+    """
+    return _of_ligaments(model, prediction)[1]
+
+
+def structure_values(model: LaxityModel, prediction: Prediction, name: str) -> tuple[Array, Array]:
+    """Tension [N] and strain [%] of one structure in every trial, shape ``(n,)`` each.
+
+    Raises
+    ------
+    ValueError
+        If the model has no structure of that name.
+    """
+    setting = model.setting(prediction.theta)
+    owners = structures(model, prediction.theta)
+    found, k = _of_lines(model, setting, prediction), index_of(name, owners.names, "ligament")
+    values = found.tensions @ owners.member[:, k], found.strains @ owners.weight[:, k] / PER_PCT
+    for x in values:
+        x[~prediction.is_converged] = np.nan
+    return values
+
+
+def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Array]:
+    setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
+    found, owned = _of_lines(model, setting, prediction), setting.owned(m)
+    weight = owned * setting.share[:, None]
+    tensions, strains = found.tensions @ owned, found.strains @ weight / PER_PCT
+    for x in (tensions, strains):
+        x[~prediction.is_converged] = np.nan
+    return tensions, strains
+
+
+def _of_lines(
+    model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
+) -> LigamentTensions:
+    """Tensions of all lines at the poses of a prediction."""
+    return ligament_tensions(
+        setting.measured_lines,
+        setting.flexion[model.paths.trial_node],
+        prediction.poses,
+        setting.stiffness,
+        setting.reference_strain,
+    )
+
+
+def index_of(name: str, names: Sequence[str], kind: str) -> int:
+    """The place of a name among others.
+
+    Raises
+    ------
+    ValueError
+        If it is not among them.
+    """
+    if name not in names:
+        shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+        raise ValueError(f"there is no {kind} {name!r}; there are {shown}")
+    return list(names).index(name)
