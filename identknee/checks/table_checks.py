@@ -13,6 +13,7 @@ from scipy.special import chdtrc, fdtrc
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WhitenedResiduals, restricted, typical_steps
 from identknee.laxity.protocol import (
+    ABSOLUTE,
     FLEXION,
     LOADS,
     Protocol,
@@ -21,6 +22,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
 )
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel
@@ -606,6 +608,8 @@ class Convention:
         What flexion is multiplied by.
     zero
         What coordinates are counted from; None for what the table says.
+    translations
+        Definition that the translations have; components are what they should be.
     """
 
     what: str
@@ -613,6 +617,7 @@ class Convention:
     factors: tuple[float, ...] = (1.0,) * len(COLUMNS)
     flexion: float = 1.0
     zero: str | None = None
+    translations: Translations = COMPONENTS
 
     def applied(self, laxity: Laxity) -> Laxity | None:
         """The table put right; None where it would be the same or break a rule of tables.
@@ -625,6 +630,10 @@ class Convention:
         protocol = laxity.protocol
         loads = protocol.loads[:, order[n:] - n] * factors[n:]
         coordinates = laxity.coordinates[:, order[:n]] * factors[:n]
+        if self.translations != COMPONENTS:
+            if laxity.zero != ABSOLUTE or not laxity.is_measured.all():
+                return None
+            coordinates = to_components(self.translations, protocol.flexion_deg, coordinates)
         zero = laxity.zero if self.zero is None else self.zero
         flexion = protocol.flexion_deg * self.flexion
         same = (
@@ -656,9 +665,9 @@ def conventions_of(laxity: Laxity) -> tuple[Convention, ...]:
     """The changes that would put right what people get wrong in a table such as this.
 
     Signs of columns, of whole motions and of all loads; units; the other side of the body; columns
-    exchanged; and what coordinates are counted from.
+    exchanged; definitions of translations; and what coordinates are counted from.
     """
-    return (*_of_columns(), *_zeros(laxity))
+    return (*_of_columns(), *_of_translations(), *_zeros(laxity))
 
 
 def _of_columns() -> Iterator[Convention]:
@@ -695,6 +704,19 @@ def _of_columns() -> Iterator[Convention]:
             i, j = COLUMNS.index(one), COLUMNS.index(other)
             order[i], order[j] = j, i
             yield Convention(what=f"exchanging {one} and {other}", order=tuple(order))
+
+
+def _of_translations() -> Iterator[Convention]:
+    """Other definitions of translations."""
+    names = {
+        "projections": "projections on the axes of Grood and Suntay",
+        "femur": "translations along the axes of the femur",
+        "tibia": "translations along the axes of the tibia",
+    }
+    for definition in DEFINITIONS:
+        if definition != COMPONENTS:
+            what = f"reading translations as {names[definition]} (# translations: {definition})"
+            yield Convention(what=what, translations=definition)
 
 
 def _zeros(laxity: Laxity) -> Iterator[Convention]:

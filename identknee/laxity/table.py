@@ -36,6 +36,14 @@ from identknee.laxity.table_file import (
     statements,
     written,
 )
+from identknee.laxity.translations import (
+    COMPONENTS,
+    Translations,
+    from_components,
+    sd_from_components,
+    sd_of_components,
+    to_components,
+)
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError, suggestion
@@ -180,8 +188,10 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
     name of a coordinate, ``order`` and ``phase``. A blank coordinate was not measured. Cells are
     separated by commas; where the header has semicolons or tabs instead, by those, and then numbers
     may have decimal commas. Comment lines start with ``#``; some of them state something:
-    ``# within_trial_correlation: 0.3``, and ``# zero:`` with ``unloaded``, ``opposite`` or the name
-    of a trial. The protocol is called after the file. A name stands for the table that comes with
+    ``# within_trial_correlation: 0.3``, ``# zero:`` with ``unloaded``, ``opposite`` or the name
+    of a trial, and ``# translations:`` with ``components`` (of Grood and Suntay), ``projections``
+    (on the same axes), ``femur`` or ``tibia`` (axes of a bone). The protocol is called after the
+    file. A name stands for the table that comes with
     identknee even where a file is called so:
     write ``"./s192803"``, or give a `pathlib.Path`, for the file. A table of trials that are to be
     predicted need not have coordinates: say so with `is_measured`.
@@ -205,33 +215,91 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
         loads=table[:, 1:loads],
     )
     measured = table[:, loads:coordinates]
-    comments, correlation, zero = statements(file, protocol, measured)
+    said = statements(file, protocol, measured)
+    sd = table[:, coordinates:]
+    if said.translations != COMPONENTS:
+        _check_needed(file.path, protocol, measured, said.translations)
+        flexion, stated = protocol.flexion_deg, ~np.isnan(sd)
+        if stated[:, TRANSLATIONS].any():
+            sd = sd_of_components(said.translations, flexion, measured, sd)
+        measured = to_components(said.translations, flexion, measured)
     return Laxity(
         protocol=protocol,
         coordinates=measured,
-        sd=table[:, coordinates:],
-        within_trial_correlation=correlation,
-        comments=comments,
-        zero=zero,
+        sd=sd,
+        within_trial_correlation=said.correlation,
+        comments=said.comments,
+        zero=said.zero,
         **extra,
     )
 
 
-def write_laxity(laxity: Laxity, path: PathLike) -> Path:
+def _check_needed(
+    path: Path, protocol: Protocol, coordinates: Array, definition: Translations
+) -> None:
+    """Refuse a row whose components hang on a value that was not measured."""
+    made = to_components(definition, protocol.flexion_deg, coordinates)
+    known = ~np.isnan(coordinates)
+    angles = known[:, 4] if definition == "tibia" else np.ones(protocol.n, bool)
+    has_angles = known[:, 3] & angles
+    lost = (known[:, TRANSLATIONS] & np.isnan(made[:, TRANSLATIONS])).any(axis=1)
+    lost |= known[:, TRANSLATIONS].any(axis=1) & ~has_angles
+    if lost.any():
+        trial = protocol.trials[int(np.flatnonzero(lost)[0])]
+        raise InputError(
+            path,
+            f"trial {trial}",
+            f"translations as {definition} hang on one another and on the angles, and some of "
+            "them are blank",
+            "Fill in varus, internal rotation and all translations, or leave all of these blank.",
+        )
+
+
+def write_laxity(
+    laxity: Laxity, path: PathLike, *, translations: Translations = COMPONENTS
+) -> Path:
     """Path of a CSV file that now holds `laxity`, and that `read_laxity` reads back equal.
 
     Numbers are the shortest that read back bit for bit; the protocol's name is not written.
+
+    Parameters
+    ----------
+    laxity
+        What to write.
+    path
+        Where.
+    translations
+        Definition of the translations in the file; `laxity` has components. Others read back equal
+        but for rounding.
 
     Raises
     ------
     InputError
         If the file cannot be written.
+    ValueError
+        If another definition is wanted of coordinates that are not absolute.
     """
+    if translations != COMPONENTS:
+        if laxity.zero != ABSOLUTE:
+            raise ValueError(
+                f"translations as {translations} can be written only of absolute coordinates, and "
+                f"these count from {laxity.zero}; leave out --translations"
+            )
+        flexion, sd = laxity.protocol.flexion_deg, laxity.sd
+        laxity = replace(
+            laxity,
+            coordinates=from_components(translations, flexion, laxity.coordinates),
+            sd=None
+            if sd is None
+            else sd_from_components(translations, flexion, laxity.coordinates, sd),
+        )
     lines = [f"# {comment}".rstrip() for comment in laxity.comments]
     if laxity.within_trial_correlation != 0:
         lines.append(f"# within_trial_correlation: {float(laxity.within_trial_correlation)!r}")
-    if laxity.zero != "absolute":
+    if laxity.zero != ABSOLUTE:
         lines.append(f"# zero: {laxity.zero}")
+    if translations != COMPONENTS:
+        lines.append(f"# translations: {translations}")
     protocol = laxity.protocol
     header = ["trial", FLEXION, *LOADS, *COORDINATES]
     blocks = [protocol.flexion_deg[:, None], protocol.loads, laxity.coordinates]

@@ -14,6 +14,7 @@ from typing import NoReturn, Self, TextIO
 import numpy as np
 
 from identknee.laxity.protocol import (
+    ABSOLUTE,
     DIRECTIONS,
     SAME_FLEXION_DEG,
     STRAY,
@@ -23,6 +24,7 @@ from identknee.laxity.protocol import (
     Protocol,
     zero_fault,
 )
+from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
@@ -30,6 +32,7 @@ from identknee.runs.files import PathLike, check_readable
 OPENSIM, OPENSIM_END = (".sto", ".mot"), "endheader"
 DEG = 57.29577951308232
 COLUMN = re.compile(r"column\s*:\s*(\w+)\s*=\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)", re.IGNORECASE)
+SEPARATOR = re.compile(r'"?sep=([,;\t])"?[,;\t]*', re.IGNORECASE)
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -192,8 +195,14 @@ class CellFile:
         raise InputError(self.path, place, why, remedy)
 
     def _header(self) -> tuple[int, list[str]]:
+        stated = ""
         for line, text in self._lines:
-            self.delimiter = next((x for x in ";\t" if x in text and "," not in text), ",")
+            # Excel's own first line says what stands between cells.
+            if not stated and (found := SEPARATOR.fullmatch(text)):
+                stated = found[1]
+                continue
+            used = next((x for x in ";\t" if x in text and "," not in text), ",")
+            self.delimiter = stated or used
             names = self._split(line, text)
             while names and not names[-1]:
                 names.pop()
@@ -470,7 +479,9 @@ def _turning_points(load: Array) -> list[int]:
 
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.
 CORRELATION_LIMITS = (-0.25, 1.0)
-STATEMENT = re.compile(r"(within_trial_correlation|zero|column|levels)\s*:\s*(.*)", re.IGNORECASE)
+STATEMENT = re.compile(
+    r"(within_trial_correlation|zero|column|levels|translations)\s*:\s*(.*)", re.IGNORECASE
+)
 
 
 def correlation_fault(value: float) -> tuple[str, str] | None:
@@ -482,12 +493,36 @@ def correlation_fault(value: float) -> tuple[str, str] | None:
     return why, f"It must lie above {low:g} and below {high:g}"
 
 
-def statements(
-    file: CellFile, protocol: Protocol, coordinates: Array
-) -> tuple[tuple[str, ...], float, str]:
-    """Free comments, within-trial correlation and zero."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Statements:
+    """What the comment lines of a table say.
+
+    Attributes
+    ----------
+    comments
+        Those that state nothing.
+    correlation
+        Within-trial correlation of the errors.
+    zero
+        What coordinates are counted from.
+    translations
+        Definition of the translations.
+    """
+
+    comments: tuple[str, ...]
+    correlation: float
+    zero: str
+    translations: Translations
+
+
+def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statements:
+    """What the comment lines of a table say, checked against its coordinates."""
     free: list[str] = []
-    stated: dict[str, str] = {"within_trial_correlation": "0", "zero": "absolute"}
+    stated: dict[str, str] = {
+        "within_trial_correlation": "0",
+        "zero": "absolute",
+        "translations": COMPONENTS,
+    }
     lines: dict[str, int] = {}
     for line, text in file.comments:
         found = STATEMENT.fullmatch(text)
@@ -511,7 +546,25 @@ def statements(
     zero = word if word in ZEROS else stated["zero"]
     if fault := zero_fault(zero, protocol, coordinates):
         file.refuse(lines["zero"], "", fault[0], f"{fault[1]}.")
-    return tuple(free), correlation, zero
+    return Statements(
+        comments=tuple(free),
+        correlation=correlation,
+        zero=zero,
+        translations=_translations(file, stated["translations"], lines, zero),
+    )
+
+
+def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: str) -> Translations:
+    """The definition of translations that is stated."""
+    line = lines.get("translations", 0)
+    found = next((x for x in DEFINITIONS if x == stated.lower()), None)
+    if found is None:
+        words = ", ".join(DEFINITIONS)
+        file.refuse(line, "", f"{stated!r} is no definition of translations", f"Known are {words}.")
+    if found != COMPONENTS and zero != ABSOLUTE:
+        why = f"translations as {found} can be read only where coordinates are absolute"
+        file.refuse(line, "", why, f"The table counts them from {zero}: convert them before.")
+    return found
 
 
 def levels(file: CellFile) -> tuple[float, ...]:

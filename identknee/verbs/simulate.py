@@ -18,6 +18,7 @@ from identknee.laxity.table import (
     read_tests,
     write_laxity,
 )
+from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel, Prediction
@@ -194,6 +195,13 @@ def simulate(
             "is slow."
         ),
     ] = "field",
+    translations: Annotated[
+        Translations,
+        option(
+            "Definition of the translations in laxity.csv: components along the axes of Grood and "
+            "Suntay, projections on them, or along the axes of femur or tibia."
+        ),
+    ] = COMPONENTS,
     seed: options.Seed = 0,
     **_: Unpack[options.RunOptions],
 ) -> Simulation:
@@ -214,6 +222,7 @@ def simulate(
         )
     check_word("continuation", continuation, get_args(Continuation))
     check_word("contact", contact, get_args(Contact))
+    check_word("--translations", translations, DEFINITIONS)
     sizes = None if noise is None else noise_of(noise)
     tests = read_tests(protocol)
     chosen = values_of(values)
@@ -248,7 +257,8 @@ def simulate(
         findings=rim_findings(trials.trials, prediction),
     )
     if run.out is not None:
-        write_laxity(answer.laxity if noisy is None else noisy, run.out / LAXITY_FILE)
+        made = answer.laxity if noisy is None else noisy
+        write_laxity(made, run.out / LAXITY_FILE, translations=translations)
     return answer
 
 

@@ -49,7 +49,7 @@ def test_what_was_not_measured_is_said_by_a_fit() -> None:
     sd[:, 3] = 1.0
     found = ik.fit(small_knee(), replace(laxity, coordinates=coordinates, sd=sd), budget=3)
     said = " ".join(found.assumptions)
-    for part in ("distraction_mm was not", "in trial 3: ", "of varus_deg only"):
+    for part in ("distraction_mm was not", "trial 3", "of varus_deg only"):
         assert part in said
 
 

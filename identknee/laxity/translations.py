@@ -1,0 +1,111 @@
+"""Translations of a knee by the definitions in use: from each to components and back.
+
+The vector from the femoral to the tibial origin is the same in all of them. `components` along the
+oblique axes of the joint are what identknee computes with. They are the femoral lateral axis, the
+floating axis and the tibial long axis [1]_. `projections` on the same axes differ from components
+where varus is not zero, because the first and the last axis are then not at right angles. `femur`
+and `tibia` are the rectangular axes of the bones.
+
+References
+----------
+.. [1] E. S. Grood and W. J. Suntay, A joint coordinate system for the clinical description of
+       three-dimensional motions: application to the knee, J. Biomech. Eng. 105 (1983) 136-144,
+       doi:10.1115/1.3138397.
+"""
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from identknee.mechanics.pose import rotation_matrix
+from identknee.runs.arrays import Array
+
+Translations = Literal["components", "projections", "femur", "tibia"]
+COMPONENTS: Translations = "components"
+DEFINITIONS: tuple[Translations, ...] = get_args(Translations)
+# Entries of a matrix that are zero but for rounding: what stands there is not needed.
+LEAST = 1e-12
+
+
+def to_components(definition: Translations, flexion_deg: Array, coordinates: Array) -> Array:
+    """Coordinates whose translations are components, from those of another definition.
+
+    Parameters
+    ----------
+    definition
+        What the translations are.
+    flexion_deg
+        Flexion [deg], shape ``(n,)``.
+    coordinates
+        Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape
+        ``(n, 5)``; NaN where not measured.
+
+    Returns
+    -------
+    coordinates
+        Shape ``(n, 5)``; NaN where a component hangs on a value that was not measured.
+    """
+    back = _inverse(_matrices(definition, flexion_deg, coordinates))
+    return _changed(back, coordinates)
+
+
+def from_components(definition: Translations, flexion_deg: Array, coordinates: Array) -> Array:
+    """Coordinates whose translations follow a definition, from components; see `to_components`."""
+    return _changed(_matrices(definition, flexion_deg, coordinates), coordinates)
+
+
+def sd_of_components(
+    definition: Translations, flexion_deg: Array, coordinates: Array, sd: Array
+) -> Array:
+    """Standard deviations of components, from those of another definition, shape ``(n, 5)``.
+
+    Errors of angles and correlations that the change brings are left out.
+    """
+    back = _inverse(_matrices(definition, flexion_deg, coordinates))
+    return np.sqrt(_changed(back**2, np.where(np.isnan(sd), np.nan, sd**2), is_variance=True))
+
+
+def sd_from_components(
+    definition: Translations, flexion_deg: Array, coordinates: Array, sd: Array
+) -> Array:
+    """Standard deviations by a definition, from those of components; see `sd_of_components`."""
+    forth = _matrices(definition, flexion_deg, coordinates)
+    return np.sqrt(_changed(forth**2, np.where(np.isnan(sd), np.nan, sd**2), is_variance=True))
+
+
+def _matrices(definition: Translations, flexion_deg: Array, coordinates: Array) -> Array:
+    """Matrices that make translations by a definition of components, shape ``(n, 3, 3)``.
+
+    Angles that were not measured count as zero.
+    """
+    varus, internal = np.nan_to_num(np.radians(coordinates[:, 3:].T))
+    flexion = np.radians(flexion_deg)
+    tibia = np.moveaxis(rotation_matrix(flexion, varus, internal), -1, 0)
+    turned = np.moveaxis(rotation_matrix(flexion, 0.0 * flexion, 0.0 * flexion), -1, 0)
+    lateral = np.broadcast_to([0.0, 0.0, 1.0], (len(flexion), 3))
+    oblique = np.stack([lateral, turned[:, :, 0], -tibia[:, :, 1]], axis=1)
+    if definition == "components":
+        return np.broadcast_to(np.eye(3), (len(flexion), 3, 3))
+    own = {
+        "projections": oblique,
+        "femur": np.broadcast_to(
+            np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), (len(flexion), 3, 3)
+        ),
+        "tibia": np.stack([tibia[:, :, 2], tibia[:, :, 0], -tibia[:, :, 1]], axis=1),
+    }[definition]
+    return np.asarray(own @ np.swapaxes(oblique, 1, 2))
+
+
+def _inverse(matrices: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+
+
+def _changed(matrices: Array, coordinates: Array, *, is_variance: bool = False) -> Array:
+    """Coordinates, or variances, with other translations; NaN where one hangs on a NaN."""
+    matrices = np.where(np.abs(matrices) > (LEAST**2 if is_variance else LEAST), matrices, 0.0)
+    known = ~np.isnan(coordinates[:, :3])
+    needs = (matrices != 0.0) & ~known[:, None, :]
+    changed = np.array(coordinates)
+    moved = np.einsum("nij,nj->ni", matrices, np.nan_to_num(coordinates[:, :3]))
+    changed[:, :3] = np.where(needs.any(axis=2), np.nan, moved)
+    return changed
