@@ -16,6 +16,7 @@ from identknee.diagnosis.fitting import (
     RivalState,
     could_matter,
     is_undecided,
+    posterior_of,
     refit,
     refit_via_low_loads,
     rivals_of,
@@ -23,7 +24,7 @@ from identknee.diagnosis.fitting import (
 from identknee.diagnosis.misfit import log_weighted_tail
 from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
-from identknee.identify.laplace import Interval, Laplace, laplace
+from identknee.identify.laplace import Interval, Laplace
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS, cause_label
 from identknee.model.effects.insertion import direction_words
@@ -672,12 +673,6 @@ class Cause:
         return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
-def posterior_of(refit: Refit) -> Laplace:
-    """Intervals of all parameters of a fit."""
-    fitted = refit.fitted
-    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.scale)
-
-
 def causes_of(refit: Refit) -> tuple[Cause, ...]:
     """The causes that a fit has beyond the base model, with their amplitudes.
 
@@ -685,13 +680,13 @@ def causes_of(refit: Refit) -> tuple[Cause, ...]:
     total counts: the root of the sum of their squares, less what their errors add to it. Of others
     in the unit of the first, such as the stiffnesses of two halves, the largest counts.
     """
-    posterior, covariance = posterior_of(refit), refit.covariance()
+    posterior, covariance = posterior_of(refit.fitted), refit.covariance()
     return tuple(_cause(refit, x, posterior, covariance) for x in refit.names)
 
 
 def ligament_estimates(refit: Refit) -> dict[str, dict[str, Estimate]]:
     """The calibrated parameters of a fit by ligament and quantity."""
-    posterior = posterior_of(refit)
+    posterior = posterior_of(refit.fitted)
     n = refit.fitted.model.n_ligament_parameters
     tree: dict[str, dict[str, Estimate]] = {}
     for i, name in enumerate(refit.fitted.model.parameters.names[:n]):
