@@ -32,11 +32,13 @@ References
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from identknee.calibrate.problem import (
+    LEAST_ROOT,
     STEP_RANK_TOLERANCE,
     Evaluation,
     Evaluator,
@@ -93,9 +95,16 @@ def bounded_step(
         Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
         that the bounds allow.
     """
-    n = matrix.shape[1]
-    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
-    return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
+    triangle = np.linalg.qr(np.column_stack([matrix, data]), mode="r")
+    return _step_of(np.asarray(triangle), bounds, constraint)
+
+
+def _step_of(
+    triangle: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
+) -> BoundedStep:
+    """The same step, from a triangular factor of matrix and data side by side."""
+    n = triangle.shape[1] - 1
+    return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
 
 
 def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
@@ -138,9 +147,10 @@ class _ActiveSet:
         self._lower, self._upper = bounds
         self._normal = None if constraint is None else constraint[0]
         self._held = np.zeros(n, dtype=np.bool_)
+        self._is_clear = _has_full_rank(matrix)
         if constraint is None:
             self._at = np.zeros(n)
-            if _has_full_rank(matrix):
+            if self._is_clear:
                 self._at, self._held = _initial_point(matrix, data, bounds)
         else:
             normal, wanted = constraint
@@ -154,7 +164,9 @@ class _ActiveSet:
             matrix = self._matrix[:, free]
             missing = self._matrix @ self._at + self._data
             least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-            if self._normal is None:
+            if self._normal is None and self._is_clear and free.size == len(move):
+                move = solve_triangular(matrix, -missing, check_finite=False)
+            elif self._normal is None:
                 move[free] = _least_norm_step(matrix, missing, least)
             else:
                 basis = _null_space(self._normal[free])
@@ -210,6 +222,9 @@ def _initial_point(
     monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596,
     doi:10.1016/0305-0548(94)90106-6.
     """
+    lowest = solve_triangular(matrix, -data, check_finite=False)
+    if np.all((lowest >= bounds[0]) & (lowest <= bounds[1])):
+        return lowest, np.zeros(len(lowest), dtype=np.bool_)
     square, slope = matrix.T @ matrix, matrix.T @ data
     side = np.zeros(len(slope))
     at = np.zeros(len(slope))
@@ -241,6 +256,10 @@ def _least_norm_step(matrix: Array, missing: Array, least: float) -> Array:
     """
     if matrix.shape[1] == 0:
         return np.zeros(0)
+    n = matrix.shape[1]
+    rows = np.asarray(np.linalg.qr(np.column_stack([matrix, missing]), mode="r"))[:n]
+    if _has_full_rank(rows[:, :n]) and np.abs(np.diagonal(rows)).min() > CLEAR * least:
+        return np.asarray(solve_triangular(rows[:, :n], -rows[:, n], check_finite=False))
     orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True, check_finite=False)
     if len(triangle) == len(order) and abs(triangle[-1, -1]) > CLEAR * least:
         move = np.empty(len(order))
@@ -266,8 +285,8 @@ def _null_space(normal: Array) -> Array:
 LONGEST, NEARBY = 2.0, 2.0
 # How many points are remembered.
 REMEMBERED = 12
-# How often the shares of two models are exchanged, and halvings of each exchange.
-MOST_EXCHANGES, MOST_HALVINGS = 12, 40
+# How often the shares of two models are exchanged, and how many exchanges of each pair are tried.
+MOST_EXCHANGES, MOST_TRIED = 12, 40
 
 
 class KinkModels:
@@ -342,7 +361,8 @@ def minimise_max_model(
     """
     weights = np.zeros(len(models))
     weights[0] = 1.0
-    step, heights = _lowest(models, weights, box, constraint)
+    dual = _Dual(models, box, constraint)
+    step, heights = dual.lowest(weights)
     for _ in range(MOST_EXCHANGES):
         highest = int(np.argmax(heights))
         if heights[highest] - weights @ heights <= gap:
@@ -350,33 +370,81 @@ def minimise_max_model(
         lowest = int(np.argmin(np.where(weights > 0.0, heights, np.inf)))
         exchange = np.zeros(len(models))
         exchange[[lowest, highest]] = -weights[lowest], weights[lowest]
-        low, high, share = 0.0, 1.0, 1.0
-        for _ in range(MOST_HALVINGS):
-            _, tried = _lowest(models, weights + share * exchange, box, constraint)
-            slope = float(exchange @ tried)
-            if abs(slope) <= gap or (share == 1.0 and slope > 0.0):
-                break
-            low, high = (share, high) if slope > 0.0 else (low, share)
-            share = 0.5 * (low + high)
+        share = dual.best_share(weights, exchange, float(exchange @ heights), gap)
         weights = np.maximum(weights + share * exchange, 0.0)
-        step, heights = _lowest(models, weights, box, constraint)
+        step, heights = dual.lowest(weights)
     return step, float(weights @ heights)
 
 
-def _lowest(
-    models: Array, weights: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
-) -> tuple[BoundedStep, Array]:
-    """The minimiser of a weighted sum of models, and the value of each there, ``(k,)``."""
-    used = weights > 0.0
-    rows = np.concatenate(np.sqrt(weights[used])[:, None, None] * models[used])
-    step = bounded_step(rows[:, :-1], rows[:, -1], box, constraint)
-    return step, np.sum((models @ np.append(step.step, 1.0)) ** 2, axis=1)
+class _Dual:
+    """Weighted sums of models, each with the step that minimises it."""
+
+    def __init__(
+        self, models: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
+    ) -> None:
+        self._models, self._box, self._constraint = models, box, constraint
+        self._squares: dict[int, Array] = {}
+
+    def lowest(self, weights: Array) -> tuple[BoundedStep, Array]:
+        """The minimiser of a weighted sum, and the value of each model there, ``(k,)``."""
+        step = _step_of(self._triangle(weights), self._box, self._constraint)
+        return step, np.sum((self._models @ np.append(step.step, 1.0)) ** 2, axis=1)
+
+    def best_share(self, weights: Array, exchange: Array, slope: float, gap: float) -> float:
+        """The share of an exchange of weights at which the minimum of the sum is highest, up to 1.
+
+        By false position, where an end that stays twice counts half (the Illinois method). `slope`
+        is that of the minimum at no exchange; at the share found it is at most `gap`.
+        """
+        ends, slopes, share, last = [0.0, 1.0], [slope, slope], 1.0, -1
+        for _ in range(MOST_TRIED):
+            _, heights = self.lowest(weights + share * exchange)
+            slope = float(exchange @ heights)
+            if abs(slope) <= gap or (share == 1.0 and slope > 0.0):
+                break
+            moved = 0 if slope > 0.0 else 1
+            ends[moved], slopes[moved] = share, slope
+            if moved == last:
+                slopes[1 - moved] *= 0.5
+            last = moved if share < 1.0 else -1
+            share = (ends[0] * slopes[1] - ends[1] * slopes[0]) / (slopes[1] - slopes[0])
+        return share
+
+    def _triangle(self, weights: Array) -> Array:
+        """A triangular factor of a weighted sum."""
+        used = np.flatnonzero(weights > 0.0).tolist()
+        if len(used) == 1:
+            return np.asarray(np.sqrt(weights[used[0]]) * self._models[used[0]])
+        # Its square takes a tenth of the time where it is known well enough.
+        for k in used:
+            if k not in self._squares:
+                self._squares[k] = self._models[k].T @ self._models[k]
+        square = sum(weights[k] * self._squares[k] for k in used)
+        n = len(square) - 1
+        try:
+            root = np.linalg.cholesky(square[:n, :n]).T
+        except np.linalg.LinAlgError:
+            root = np.zeros((n, n))
+        diagonal = np.diagonal(root)
+        if n and diagonal.min() > LEAST_ROOT * diagonal.max():
+            data = solve_triangular(root, square[:n, n], trans="T", check_finite=False)
+            return np.column_stack([root, data])
+        rows = np.concatenate([np.sqrt(weights[k]) * self._models[k] for k in used])
+        return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -> Array:
     """The linear model of one point around another, shape ``(n + 1, n + 1)``."""
-    data = of.residuals + of.jacobian @ (at.theta - of.theta)
-    rows = np.column_stack([of.jacobian * scales, data])
+    root = _root(of)
+    data = root[:, -1] + root[:, :-1] @ (at.theta - of.theta)
+    return np.column_stack([root[:, :-1] * scales, data])
+
+
+# Steps are planned more than once from a point, and those remembered count in many plans.
+@lru_cache(maxsize=REMEMBERED + 4)
+def _root(of: LinearisedResiduals) -> Array:
+    """A triangular factor of derivatives and residuals, shape ``(n + 1, n + 1)``."""
+    rows = np.column_stack([of.jacobian, of.residuals])
     padded = np.vstack([rows, np.zeros((max(rows.shape[1] - len(rows), 0), rows.shape[1]))])
     return np.asarray(np.linalg.qr(padded, mode="r"))
 
@@ -598,7 +666,7 @@ class _Search:
     def _plan(self, point: _Point) -> _PlannedStep:
         at = point.evaluation
         scales = conditional_sds(at.jacobian, self._evaluator.parameters)
-        matrix, data = self._model(at, scales)
+        model = self._model(at, scales)
         low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
         box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
         constraint, gap, remaining = None, 0.0, 0.0
@@ -610,19 +678,18 @@ class _Search:
             constraint = normal, reachable
             gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
             remaining = abs(wanted - reachable)
-        step = bounded_step(matrix, data, box, constraint)
-        reduction = linear_reduction = _predicted_reduction(matrix, data, step)
+        step = _step_of(model, box, constraint)
+        reduction = linear_reduction = _predicted_reduction(model, step)
         if self._kinks.has_kinks:
-            whole = bounded_step(matrix, data, (low, high), constraint)
+            whole = _step_of(model, (low, high), constraint)
             length = float(np.max(np.abs(whole.step), initial=0.0))
             models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
             if len(models) > 1:
                 step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
-            linear = at.jacobian * scales
-            by_it = bounded_step(linear, at.residuals, box, constraint)
-            linear_reduction = _predicted_reduction(linear, at.residuals, by_it)
+            linear = _triangle(at, at, scales)
+            linear_reduction = _predicted_reduction(linear, _step_of(linear, box, constraint))
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
@@ -675,11 +742,12 @@ class _Search:
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new
 
-    def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
-        """Matrix and data of the model of the deviance around a point."""
-        if self._curvature is None:
-            return at.jacobian * scales, at.residuals
-        return self._curvature.model(at, scales)
+    def _model(self, at: Evaluation, scales: Array) -> Array:
+        """Triangle of matrix and data of the model of the deviance around a point."""
+        if self._curvature is None or not self._curvature.is_known:
+            return _triangle(at, at, scales)
+        matrix, data = self._curvature.model(at, scales)
+        return np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))
 
     def _merit(self, point: _Point) -> float:
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
@@ -717,7 +785,7 @@ class _Search:
         scales = conditional_sds(point.evaluation.jacobian, self._evaluator.parameters)
         limit = np.where(held, 0.0, np.inf)
         # Rows of data are the parameters' own steps, so the linear model is d theta / d value.
-        matrix, _ = self._model(point.evaluation, scales)
+        matrix = self._model(point.evaluation, scales)[:, :-1]
         normal = gradient * scales
         if not np.any(normal[~held]):
             return np.zeros(normal.size)
@@ -728,6 +796,6 @@ class _Search:
         return np.asarray(scales * step / size)
 
 
-def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:
-    change = matrix @ step.step
+def _predicted_reduction(model: Array, step: BoundedStep) -> float:
+    data, change = model[:, -1], model[:, :-1] @ step.step
     return float(-2.0 * data @ change - change @ change)
