@@ -36,15 +36,17 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
+from scipy.linalg.lapack import dposv
 
 from identknee.calibrate.problem import (
-    LEAST_ROOT,
+    LARGE,
     STEP_RANK_TOLERANCE,
     Evaluation,
     Evaluator,
     LinearisedResiduals,
     Quantity,
     SearchEnded,
+    clear_root,
     conditional_sds,
     jump,
 )
@@ -95,16 +97,15 @@ def bounded_step(
         Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
         that the bounds allow.
     """
-    triangle = np.linalg.qr(np.column_stack([matrix, data]), mode="r")
-    return _step_of(np.asarray(triangle), bounds, constraint)
-
-
-def _step_of(
-    triangle: Array, bounds: tuple[Array, Array], constraint: tuple[Array, float] | None
-) -> BoundedStep:
-    """The same step, from a triangular factor of matrix and data side by side."""
-    n = triangle.shape[1] - 1
+    n, rows = matrix.shape[1], np.column_stack([matrix, data])
+    triangle = rows if _is_large_triangle(rows) else np.linalg.qr(rows, mode="r")
     return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
+
+
+def _is_large_triangle(rows: Array) -> bool:
+    """Whether there is nothing to factorise that would take long."""
+    m, n = rows.shape
+    return m <= n > LARGE and not np.tril(rows, -1).any()
 
 
 def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
@@ -164,7 +165,7 @@ class _ActiveSet:
             matrix = self._matrix[:, free]
             missing = self._matrix @ self._at + self._data
             least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-            if self._normal is None and self._is_clear and free.size == len(move):
+            if self._normal is None and self._is_clear and free.size == len(move) > LARGE:
                 move = solve_triangular(matrix, -missing, check_finite=False)
             elif self._normal is None:
                 move[free] = _least_norm_step(matrix, missing, least)
@@ -222,16 +223,19 @@ def _initial_point(
     monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596,
     doi:10.1016/0305-0548(94)90106-6.
     """
-    lowest = solve_triangular(matrix, -data, check_finite=False)
-    if np.all((lowest >= bounds[0]) & (lowest <= bounds[1])):
-        return lowest, np.zeros(len(lowest), dtype=np.bool_)
+    side, at = np.zeros(len(data)), np.zeros(len(data))
+    if len(data) > LARGE:
+        lowest = solve_triangular(matrix, -data, check_finite=False)
+        at = np.clip(lowest, *bounds)
+        side = np.sign(lowest - at)
+        if not side.any():
+            return at, side != 0.0
     square, slope = matrix.T @ matrix, matrix.T @ data
-    side = np.zeros(len(slope))
-    at = np.zeros(len(slope))
     for _ in range(MOST_BLOCKS):
         free = side == 0.0
         tried = np.where(free, 0.0, np.where(side < 0.0, *bounds))
-        tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
+        if free.any():
+            tried[free] = _solved(square[free][:, free], -(slope + square @ tried)[free])
         at, held = np.clip(tried, *bounds), ~free
         pushed = side * (square @ tried + slope) > 0.0
         now = np.where(free, np.sign(tried - at), np.where(pushed, 0.0, side))
@@ -239,6 +243,15 @@ def _initial_point(
             return at, held
         side = now
     return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
+
+
+def _solved(square: Array, data: Array) -> Array:
+    """The solution of a symmetric system."""
+    if len(data) > LARGE:
+        _, solution, failed = dposv(square, data)
+        if not failed:
+            return np.asarray(solution)
+    return np.asarray(np.linalg.solve(square, data))
 
 
 def _has_full_rank(triangle: Array) -> bool:
@@ -256,10 +269,10 @@ def _least_norm_step(matrix: Array, missing: Array, least: float) -> Array:
     """
     if matrix.shape[1] == 0:
         return np.zeros(0)
-    n = matrix.shape[1]
-    rows = np.asarray(np.linalg.qr(np.column_stack([matrix, missing]), mode="r"))[:n]
-    if _has_full_rank(rows[:, :n]) and np.abs(np.diagonal(rows)).min() > CLEAR * least:
-        return np.asarray(solve_triangular(rows[:, :n], -rows[:, n], check_finite=False))
+    if (n := matrix.shape[1]) > LARGE:
+        rows = np.asarray(np.linalg.qr(np.column_stack([matrix, missing]), mode="r"))[:n]
+        if _has_full_rank(rows[:, :n]) and np.abs(np.diagonal(rows)).min() > CLEAR * least:
+            return np.asarray(solve_triangular(rows[:, :n], -rows[:, n], check_finite=False))
     orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True, check_finite=False)
     if len(triangle) == len(order) and abs(triangle[-1, -1]) > CLEAR * least:
         move = np.empty(len(order))
@@ -387,7 +400,8 @@ class _Dual:
 
     def lowest(self, weights: Array) -> tuple[BoundedStep, Array]:
         """The minimiser of a weighted sum, and the value of each model there, ``(k,)``."""
-        step = _step_of(self._triangle(weights), self._box, self._constraint)
+        rows = self._rows(weights)
+        step = bounded_step(rows[:, :-1], rows[:, -1], self._box, self._constraint)
         return step, np.sum((self._models @ np.append(step.step, 1.0)) ** 2, axis=1)
 
     def best_share(self, weights: Array, exchange: Array, slope: float, gap: float) -> float:
@@ -410,31 +424,27 @@ class _Dual:
             share = (ends[0] * slopes[1] - ends[1] * slopes[0]) / (slopes[1] - slopes[0])
         return share
 
-    def _triangle(self, weights: Array) -> Array:
-        """A triangular factor of a weighted sum."""
-        used = np.flatnonzero(weights > 0.0).tolist()
-        if len(used) == 1:
-            return np.asarray(np.sqrt(weights[used[0]]) * self._models[used[0]])
-        # Its square takes a tenth of the time where it is known well enough.
-        for k in used:
-            if k not in self._squares:
-                self._squares[k] = self._models[k].T @ self._models[k]
-        square = sum(weights[k] * self._squares[k] for k in used)
-        n = len(square) - 1
-        try:
-            root = np.linalg.cholesky(square[:n, :n]).T
-        except np.linalg.LinAlgError:
-            root = np.zeros((n, n))
-        diagonal = np.diagonal(root)
-        if n and diagonal.min() > LEAST_ROOT * diagonal.max():
-            data = solve_triangular(root, square[:n, n], trans="T", check_finite=False)
-            return np.column_stack([root, data])
-        rows = np.concatenate([np.sqrt(weights[k]) * self._models[k] for k in used])
-        return np.asarray(np.linalg.qr(rows, mode="r"))
+    def _rows(self, weights: Array) -> Array:
+        """Rows whose product with a step and a one has the weighted sum as its sum of squares."""
+        used = np.flatnonzero(weights > 0.0)
+        n = self._models.shape[2] - 1
+        if n > LARGE and len(used) > 1:
+            for k in used.tolist():
+                if k not in self._squares:
+                    self._squares[k] = self._models[k].T @ self._models[k]
+            square = sum(weights[k] * self._squares[k] for k in used.tolist())
+            root = clear_root(square[:n, :n])
+            if root is not None:
+                data = solve_triangular(root, square[:n, n], trans="T", check_finite=False)
+                return np.column_stack([root, data])
+        return np.concatenate(np.sqrt(weights[used])[:, None, None] * self._models[used])
 
 
 def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -> Array:
     """The linear model of one point around another, shape ``(n + 1, n + 1)``."""
+    if scales.size <= LARGE:
+        data = of.residuals + of.jacobian @ (at.theta - of.theta)
+        return _factor(of.jacobian * scales, data)
     root = _root(of)
     data = root[:, -1] + root[:, :-1] @ (at.theta - of.theta)
     return np.column_stack([root[:, :-1] * scales, data])
@@ -444,7 +454,11 @@ def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -
 @lru_cache(maxsize=REMEMBERED + 4)
 def _root(of: LinearisedResiduals) -> Array:
     """A triangular factor of derivatives and residuals, shape ``(n + 1, n + 1)``."""
-    rows = np.column_stack([of.jacobian, of.residuals])
+    return _factor(of.jacobian, of.residuals)
+
+
+def _factor(matrix: Array, data: Array) -> Array:
+    rows = np.column_stack([matrix, data])
     padded = np.vstack([rows, np.zeros((max(rows.shape[1] - len(rows), 0), rows.shape[1]))])
     return np.asarray(np.linalg.qr(padded, mode="r"))
 
@@ -666,7 +680,7 @@ class _Search:
     def _plan(self, point: _Point) -> _PlannedStep:
         at = point.evaluation
         scales = conditional_sds(at.jacobian, self._evaluator.parameters)
-        model = self._model(at, scales)
+        matrix, data = self._model(at, scales)
         low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
         box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
         constraint, gap, remaining = None, 0.0, 0.0
@@ -678,18 +692,19 @@ class _Search:
             constraint = normal, reachable
             gap = abs(wanted) / size if size > 0 else (np.inf if wanted else 0.0)
             remaining = abs(wanted - reachable)
-        step = _step_of(model, box, constraint)
-        reduction = linear_reduction = _predicted_reduction(model, step)
+        step = bounded_step(matrix, data, box, constraint)
+        reduction = linear_reduction = _predicted_reduction(matrix, data, step)
         if self._kinks.has_kinks:
-            whole = _step_of(model, (low, high), constraint)
+            whole = bounded_step(matrix, data, (low, high), constraint)
             length = float(np.max(np.abs(whole.step), initial=0.0))
             models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
             if len(models) > 1:
                 step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
-            linear = _triangle(at, at, scales)
-            linear_reduction = _predicted_reduction(linear, _step_of(linear, box, constraint))
+            matrix, data = _linear_model(at, scales)
+            by_it = bounded_step(matrix, data, box, constraint)
+            linear_reduction = _predicted_reduction(matrix, data, by_it)
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
@@ -742,12 +757,11 @@ class _Search:
         self._met_cliff = self._met_cliff and np.isfinite(self._radius)
         return new
 
-    def _model(self, at: Evaluation, scales: Array) -> Array:
-        """Triangle of matrix and data of the model of the deviance around a point."""
+    def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
+        """Matrix and data of the model of the deviance around a point."""
         if self._curvature is None or not self._curvature.is_known:
-            return _triangle(at, at, scales)
-        matrix, data = self._curvature.model(at, scales)
-        return np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))
+            return _linear_model(at, scales)
+        return self._curvature.model(at, scales)
 
     def _merit(self, point: _Point) -> float:
         missing = 0.0 if point.gradient is None else abs(self._target - point.value)
@@ -785,7 +799,7 @@ class _Search:
         scales = conditional_sds(point.evaluation.jacobian, self._evaluator.parameters)
         limit = np.where(held, 0.0, np.inf)
         # Rows of data are the parameters' own steps, so the linear model is d theta / d value.
-        matrix = self._model(point.evaluation, scales)[:, :-1]
+        matrix, _ = self._model(point.evaluation, scales)
         normal = gradient * scales
         if not np.any(normal[~held]):
             return np.zeros(normal.size)
@@ -796,6 +810,14 @@ class _Search:
         return np.asarray(scales * step / size)
 
 
-def _predicted_reduction(model: Array, step: BoundedStep) -> float:
-    data, change = model[:, -1], model[:, :-1] @ step.step
+def _linear_model(at: Evaluation, scales: Array) -> tuple[Array, Array]:
+    """Matrix and data of the linear model, in parameters divided by `scales`."""
+    if scales.size <= LARGE:
+        return at.jacobian * scales, at.residuals
+    triangle = _triangle(at, at, scales)
+    return triangle[:, :-1], triangle[:, -1]
+
+
+def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:
+    change = matrix @ step.step
     return float(-2.0 * data @ change - change @ change)

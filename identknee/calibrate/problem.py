@@ -283,9 +283,22 @@ KINK_SHARE, KINK_DEVIANCE = 1e-6, 0.01
 LEAST_PRODUCT = 1e-8
 # Share of the largest eigenvalue of the curvature below which a step has no part along a direction.
 LEAST_EIGENVALUE = 1e-14
+# Parameters beyond which factorisations take most of the time of a search, and are saved where they
+# can be. Below, a search on kinks would go another way by rounding, and gain nothing.
+LARGE = 128
 # Least ratio of smallest to largest diagonal entry at which the triangular factor of a square
 # stands for it.
 LEAST_ROOT = 1e-4
+
+
+def clear_root(square: Array) -> Array | None:
+    """The upper triangle whose square it is; None where rounding would count."""
+    with suppress(np.linalg.LinAlgError):
+        root = np.asarray(np.linalg.cholesky(square).T)
+        diagonal = np.diagonal(root)
+        if diagonal.min() > LEAST_ROOT * diagonal.max():
+            return root
+    return None
 
 
 class LinearisedResiduals(Protocol):
@@ -362,11 +375,9 @@ class Curvature:
             return linear, at.residuals
         square = linear.T @ linear + self._matrix * np.outer(scales, scales)
         slope = linear.T @ at.residuals
-        with suppress(np.linalg.LinAlgError):
-            root = np.linalg.cholesky(square).T
-            diagonal = np.diagonal(root)
-            if diagonal.min() > LEAST_ROOT * diagonal.max():
-                return root, np.asarray(solve_triangular(root, slope, trans="T"))
+        root = clear_root(square) if slope.size > LARGE else None
+        if root is not None:
+            return root, np.asarray(solve_triangular(root, slope, trans="T"))
         values, vectors = np.linalg.eigh(square)
         sizes = np.abs(values)
         is_seen = sizes > LEAST_EIGENVALUE * sizes.max()

@@ -290,15 +290,18 @@ def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...
     begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
     best = max((x.log_evidence for x in begun), default=0.0)
     costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
+    is_finished = [
+        place < ALWAYS or x.log_evidence > best - FAR_BEHIND for place, x in enumerate(begun)
+    ]
     with progress_bar("fitting causes", len(costs), costs=costs) as advance:
         found = [
-            task.finished(base, x) if place < ALWAYS or x.log_evidence > best - FAR_BEHIND else x
-            for place, (task, x) in counted(enumerate(zip(tasks, begun, strict=True)), advance)
+            task.finished(base, x) if is_wanted else x
+            for task, x, is_wanted in counted(zip(tasks, begun, is_finished, strict=True), advance)
         ]
     best = max((x.log_evidence for x in found), default=0.0)
     for place, task in enumerate(tasks):
         if task.is_possible and is_undecided(found[place], best - found[place].log_evidence):
-            found[place] = task.rescued(base, found[place], found)
+            found[place] = task.rescued(base, found, place, is_finished=is_finished[place])
     return tuple(sorted(found, key=lambda x: -x.log_evidence))
 
 
@@ -373,8 +376,14 @@ class _Task:
             found, refit_via_low_loads(base, found, starts[-1]), key=lambda x: x.log_evidence
         )
 
-    def rescued(self, base: Refit, found: Refit, all_found: Sequence[Refit]) -> Refit:
-        """A refit that failed, is stuck or was left, begun again also where others succeeded."""
+    def rescued(
+        self, base: Refit, all_found: Sequence[Refit], place: int, *, is_finished: bool
+    ) -> Refit:
+        """A refit that failed, is stuck or was left, begun again also where others succeeded.
+
+        One that was taken to its end is continued; from its starts it would end there again.
+        """
+        found = all_found[place]
         helpers = [x for x in all_found if x is not found and x.fitted.evaluation.is_finite]
         helpers = sorted(helpers, key=lambda x: -x.log_evidence)[:MOST_HELPERS]
         sizes = [self.values]
@@ -382,7 +391,11 @@ class _Task:
             sizes.append(found.fitted.theta[-len(self.values) :])
         n_base, n = base.n_base, len(self.starts[0]) - len(self.values)
         others = self.starts[1][n_base:n]
-        tried = [self.finished(base, found)]
+        tried = [
+            refit(base, self.causes, [found.fitted.theta])
+            if is_finished
+            else self.finished(base, found)
+        ]
         tried += [
             refit(base, self.causes, [np.r_[x.fitted.theta[:n_base], others, size]])
             for x in helpers
