@@ -98,7 +98,8 @@ def bounded_step(
         that the bounds allow.
     """
     n, rows = matrix.shape[1], np.column_stack([matrix, data])
-    triangle = rows if _is_large_triangle(rows) else np.linalg.qr(rows, mode="r")
+    is_done = _is_large_triangle(rows)
+    triangle = rows if is_done else np.asarray(np.linalg.qr(rows, mode="r"))
     return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
 
 

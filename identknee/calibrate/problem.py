@@ -1,6 +1,6 @@
 """What is fitted: residuals as a function of parameters, their evaluation, scalar quantities."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
@@ -301,8 +301,8 @@ def clear_root(square: Array) -> Array | None:
     return None
 
 
-class LinearisedResiduals(Protocol):
-    """Residuals at a parameter vector, with their derivatives."""
+class LinearisedResiduals(Hashable, Protocol):
+    """Residuals at a parameter vector, with their derivatives; told apart by identity."""
 
     @property
     def theta(self) -> Array:
