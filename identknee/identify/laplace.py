@@ -1,7 +1,7 @@
 """Laplace approximation truncated at the bounds: intervals and evidence."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -150,13 +150,20 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     n = N_POINTS if cut.size else 1
     factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(cut, cut)]), dtype=np.float64)
     drawn, weights = np.zeros((n, cut.size)), np.zeros(n)
-    points = scipy.stats.qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
+    points = _sobol_points(max(cut.size, 1))
     for i in range(cut.size):
         known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
         low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
         weights += log_interval_mass(low, high)
         drawn[:, i] = _within(low, high, points[:, i])
     return _Draws(components=cut, factor=factor, points=drawn, log_weights=weights)
+
+
+@lru_cache(maxsize=16)
+def _sobol_points(n: int) -> Array:
+    points = np.asarray(scipy.stats.qmc.Sobol(n, seed=POINTS_SEED).random(N_POINTS))
+    points.flags.writeable = False
+    return points
 
 
 def _quantile(
