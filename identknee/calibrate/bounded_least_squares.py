@@ -408,9 +408,11 @@ class _Dual:
     def best_share(self, weights: Array, exchange: Array, slope: float, gap: float) -> float:
         """The share of an exchange of weights at which the minimum of the sum is highest, up to 1.
 
-        By false position, where an end that stays twice counts half (the Illinois method). `slope`
-        is that of the minimum at no exchange; at the share found it is at most `gap`.
+        By halving; of many parameters by false position, which takes fewer minima, where an end
+        that stays twice counts half (the Illinois method). `slope` is that of the minimum at no
+        exchange; at the share found it is at most `gap`.
         """
+        is_large = self._models.shape[2] - 1 > LARGE
         ends, slopes, share, last = [0.0, 1.0], [slope, slope], 1.0, -1
         for _ in range(MOST_TRIED):
             _, heights = self.lowest(weights + share * exchange)
@@ -422,7 +424,9 @@ class _Dual:
             if moved == last:
                 slopes[1 - moved] *= 0.5
             last = moved if share < 1.0 else -1
-            share = (ends[0] * slopes[1] - ends[1] * slopes[0]) / (slopes[1] - slopes[0])
+            share = 0.5 * (ends[0] + ends[1])
+            if is_large:
+                share = (ends[0] * slopes[1] - ends[1] * slopes[0]) / (slopes[1] - slopes[0])
         return share
 
     def _rows(self, weights: Array) -> Array:
