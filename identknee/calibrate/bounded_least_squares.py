@@ -32,17 +32,21 @@ References
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
+from scipy.linalg.lapack import dposv
 
 from identknee.calibrate.problem import (
+    LARGE,
     STEP_RANK_TOLERANCE,
     Evaluation,
     Evaluator,
     LinearisedResiduals,
     Quantity,
     SearchEnded,
+    clear_root,
     conditional_sds,
     jump,
     thin_svd,
@@ -94,9 +98,16 @@ def bounded_step(
         Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
         that the bounds allow.
     """
-    n = matrix.shape[1]
-    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, data]), mode="r"))[:n]
-    return _ActiveSet(triangle[:, :n], triangle[:, n], bounds, constraint).solve()
+    n, rows = matrix.shape[1], np.column_stack([matrix, data])
+    is_done = _is_large_triangle(rows)
+    triangle = rows if is_done else np.asarray(np.linalg.qr(rows, mode="r"))
+    return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
+
+
+def _is_large_triangle(rows: Array) -> bool:
+    """Whether there is nothing to factorise that would take long."""
+    m, n = rows.shape
+    return m <= n > LARGE and not np.tril(rows, -1).any()
 
 
 def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:
@@ -139,9 +150,10 @@ class _ActiveSet:
         self._lower, self._upper = bounds
         self._normal = None if constraint is None else constraint[0]
         self._held = np.zeros(n, dtype=np.bool_)
+        self._is_clear = _has_full_rank(matrix)
         if constraint is None:
             self._at = np.zeros(n)
-            if _has_full_rank(matrix):
+            if self._is_clear:
                 self._at, self._held = _initial_point(matrix, data, bounds)
         else:
             normal, wanted = constraint
@@ -155,7 +167,9 @@ class _ActiveSet:
             matrix = self._matrix[:, free]
             missing = self._matrix @ self._at + self._data
             least = max(STEP_RANK_TOLERANCE * self._size, SMALLEST)
-            if self._normal is None:
+            if self._normal is None and self._is_clear and free.size == len(move) > LARGE:
+                move = solve_triangular(matrix, -missing, check_finite=False)
+            elif self._normal is None:
                 move[free] = _least_norm_step(matrix, missing, least)
             else:
                 basis = _null_space(self._normal[free])
@@ -211,13 +225,19 @@ def _initial_point(
     monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596,
     doi:10.1016/0305-0548(94)90106-6.
     """
+    side, at = np.zeros(len(data)), np.zeros(len(data))
+    if len(data) > LARGE:
+        lowest = solve_triangular(matrix, -data, check_finite=False)
+        at = np.clip(lowest, *bounds)
+        side = np.sign(lowest - at)
+        if not side.any():
+            return at, side != 0.0
     square, slope = matrix.T @ matrix, matrix.T @ data
-    side = np.zeros(len(slope))
-    at = np.zeros(len(slope))
     for _ in range(MOST_BLOCKS):
         free = side == 0.0
         tried = np.where(free, 0.0, np.where(side < 0.0, *bounds))
-        tried[free] = np.linalg.solve(square[free][:, free], -(slope + square @ tried)[free])
+        if free.any():
+            tried[free] = _solved(square[free][:, free], -(slope + square @ tried)[free])
         at, held = np.clip(tried, *bounds), ~free
         pushed = side * (square @ tried + slope) > 0.0
         now = np.where(free, np.sign(tried - at), np.where(pushed, 0.0, side))
@@ -225,6 +245,15 @@ def _initial_point(
             return at, held
         side = now
     return at, (side != 0.0) & (at == np.where(side < 0.0, *bounds))
+
+
+def _solved(square: Array, data: Array) -> Array:
+    """The solution of a symmetric system."""
+    if len(data) > LARGE:
+        _, solution, failed = dposv(square, data)
+        if not failed:
+            return np.asarray(solution)
+    return np.asarray(np.linalg.solve(square, data))
 
 
 def _has_full_rank(triangle: Array) -> bool:
@@ -242,6 +271,10 @@ def _least_norm_step(matrix: Array, missing: Array, least: float) -> Array:
     """
     if matrix.shape[1] == 0:
         return np.zeros(0)
+    if (n := matrix.shape[1]) > LARGE:
+        rows = np.asarray(np.linalg.qr(np.column_stack([matrix, missing]), mode="r"))[:n]
+        if _has_full_rank(rows[:, :n]) and np.abs(np.diagonal(rows)).min() > CLEAR * least:
+            return np.asarray(solve_triangular(rows[:, :n], -rows[:, n], check_finite=False))
     orthogonal, triangle, order = qr(matrix, mode="economic", pivoting=True, check_finite=False)
     if len(triangle) == len(order) and abs(triangle[-1, -1]) > CLEAR * least:
         move = np.empty(len(order))
@@ -267,8 +300,8 @@ def _null_space(normal: Array) -> Array:
 LONGEST, NEARBY = 2.0, 2.0
 # How many points are remembered.
 REMEMBERED = 12
-# How often the shares of two models are exchanged, and halvings of each exchange.
-MOST_EXCHANGES, MOST_HALVINGS = 12, 40
+# How often the shares of two models are exchanged, and how many exchanges of each pair are tried.
+MOST_EXCHANGES, MOST_TRIED = 12, 40
 
 
 class KinkModels:
@@ -343,7 +376,8 @@ def minimise_max_model(
     """
     weights = np.zeros(len(models))
     weights[0] = 1.0
-    step, heights = _lowest(models, weights, box, constraint)
+    dual = _Dual(models, box, constraint)
+    step, heights = dual.lowest(weights)
     for _ in range(MOST_EXCHANGES):
         highest = int(np.argmax(heights))
         if heights[highest] - weights @ heights <= gap:
@@ -351,33 +385,86 @@ def minimise_max_model(
         lowest = int(np.argmin(np.where(weights > 0.0, heights, np.inf)))
         exchange = np.zeros(len(models))
         exchange[[lowest, highest]] = -weights[lowest], weights[lowest]
-        low, high, share = 0.0, 1.0, 1.0
-        for _ in range(MOST_HALVINGS):
-            _, tried = _lowest(models, weights + share * exchange, box, constraint)
-            slope = float(exchange @ tried)
-            if abs(slope) <= gap or (share == 1.0 and slope > 0.0):
-                break
-            low, high = (share, high) if slope > 0.0 else (low, share)
-            share = 0.5 * (low + high)
+        share = dual.best_share(weights, exchange, float(exchange @ heights), gap)
         weights = np.maximum(weights + share * exchange, 0.0)
-        step, heights = _lowest(models, weights, box, constraint)
+        step, heights = dual.lowest(weights)
     return step, float(weights @ heights)
 
 
-def _lowest(
-    models: Array, weights: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
-) -> tuple[BoundedStep, Array]:
-    """The minimiser of a weighted sum of models, and the value of each there, ``(k,)``."""
-    used = weights > 0.0
-    rows = np.concatenate(np.sqrt(weights[used])[:, None, None] * models[used])
-    step = bounded_step(rows[:, :-1], rows[:, -1], box, constraint)
-    return step, np.sum((models @ np.append(step.step, 1.0)) ** 2, axis=1)
+class _Dual:
+    """Weighted sums of models, each with the step that minimises it."""
+
+    def __init__(
+        self, models: Array, box: tuple[Array, Array], constraint: tuple[Array, float] | None
+    ) -> None:
+        self._models, self._box, self._constraint = models, box, constraint
+        self._squares: dict[int, Array] = {}
+
+    def lowest(self, weights: Array) -> tuple[BoundedStep, Array]:
+        """The minimiser of a weighted sum, and the value of each model there, ``(k,)``."""
+        rows = self._rows(weights)
+        step = bounded_step(rows[:, :-1], rows[:, -1], self._box, self._constraint)
+        return step, np.sum((self._models @ np.append(step.step, 1.0)) ** 2, axis=1)
+
+    def best_share(self, weights: Array, exchange: Array, slope: float, gap: float) -> float:
+        """The share of an exchange of weights at which the minimum of the sum is highest, up to 1.
+
+        By halving; of many parameters by false position, which takes fewer minima, where an end
+        that stays twice counts half (the Illinois method). `slope` is that of the minimum at no
+        exchange; at the share found it is at most `gap`.
+        """
+        is_large = self._models.shape[2] - 1 > LARGE
+        ends, slopes, share, last = [0.0, 1.0], [slope, slope], 1.0, -1
+        for _ in range(MOST_TRIED):
+            _, heights = self.lowest(weights + share * exchange)
+            slope = float(exchange @ heights)
+            if abs(slope) <= gap or (share == 1.0 and slope > 0.0):
+                break
+            moved = 0 if slope > 0.0 else 1
+            ends[moved], slopes[moved] = share, slope
+            if moved == last:
+                slopes[1 - moved] *= 0.5
+            last = moved if share < 1.0 else -1
+            share = 0.5 * (ends[0] + ends[1])
+            if is_large:
+                share = (ends[0] * slopes[1] - ends[1] * slopes[0]) / (slopes[1] - slopes[0])
+        return share
+
+    def _rows(self, weights: Array) -> Array:
+        """Rows whose product with a step and a one has the weighted sum as its sum of squares."""
+        used = np.flatnonzero(weights > 0.0)
+        n = self._models.shape[2] - 1
+        if n > LARGE and len(used) > 1:
+            for k in used.tolist():
+                if k not in self._squares:
+                    self._squares[k] = self._models[k].T @ self._models[k]
+            square = sum(weights[k] * self._squares[k] for k in used.tolist())
+            root = clear_root(square[:n, :n])
+            if root is not None:
+                data = solve_triangular(root, square[:n, n], trans="T", check_finite=False)
+                return np.column_stack([root, data])
+        return np.concatenate(np.sqrt(weights[used])[:, None, None] * self._models[used])
 
 
 def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -> Array:
     """The linear model of one point around another, shape ``(n + 1, n + 1)``."""
-    data = of.residuals + of.jacobian @ (at.theta - of.theta)
-    rows = np.column_stack([of.jacobian * scales, data])
+    if scales.size <= LARGE:
+        data = of.residuals + of.jacobian @ (at.theta - of.theta)
+        return _factor(of.jacobian * scales, data)
+    root = _root(of)
+    data = root[:, -1] + root[:, :-1] @ (at.theta - of.theta)
+    return np.column_stack([root[:, :-1] * scales, data])
+
+
+# Steps are planned more than once from a point, and those remembered count in many plans.
+@lru_cache(maxsize=REMEMBERED + 4)
+def _root(of: LinearisedResiduals) -> Array:
+    """A triangular factor of derivatives and residuals, shape ``(n + 1, n + 1)``."""
+    return _factor(of.jacobian, of.residuals)
+
+
+def _factor(matrix: Array, data: Array) -> Array:
+    rows = np.column_stack([matrix, data])
     padded = np.vstack([rows, np.zeros((max(rows.shape[1] - len(rows), 0), rows.shape[1]))])
     return np.asarray(np.linalg.qr(padded, mode="r"))
 
@@ -621,9 +708,9 @@ class _Search:
                 step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
         if self._curvature is not None and self._curvature.is_known:
-            linear = at.jacobian * scales
-            by_it = bounded_step(linear, at.residuals, box, constraint)
-            linear_reduction = _predicted_reduction(linear, at.residuals, by_it)
+            matrix, data = _linear_model(at, scales)
+            by_it = bounded_step(matrix, data, box, constraint)
+            linear_reduction = _predicted_reduction(matrix, data, by_it)
         theta = np.clip(at.theta + scales * step.step, self._lower, self._upper)
         theta = np.where(step.step == low, self._lower, theta)
         theta = np.where(step.step == high, self._upper, theta)
@@ -678,8 +765,8 @@ class _Search:
 
     def _model(self, at: Evaluation, scales: Array) -> tuple[Array, Array]:
         """Matrix and data of the model of the deviance around a point."""
-        if self._curvature is None:
-            return at.jacobian * scales, at.residuals
+        if self._curvature is None or not self._curvature.is_known:
+            return _linear_model(at, scales)
         return self._curvature.model(at, scales)
 
     def _merit(self, point: _Point) -> float:
@@ -727,6 +814,14 @@ class _Search:
             matrix, np.zeros(len(matrix)), (-limit, limit), (normal / size, 1.0)
         ).step
         return np.asarray(scales * step / size)
+
+
+def _linear_model(at: Evaluation, scales: Array) -> tuple[Array, Array]:
+    """Matrix and data of the linear model, in parameters divided by `scales`."""
+    if scales.size <= LARGE:
+        return at.jacobian * scales, at.residuals
+    triangle = _triangle(at, at, scales)
+    return triangle[:, :-1], triangle[:, -1]
 
 
 def _predicted_reduction(matrix: Array, data: Array, step: BoundedStep) -> float:

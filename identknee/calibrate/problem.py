@@ -1,12 +1,13 @@
 """What is fitted: residuals as a function of parameters, their evaluation, scalar quantities."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import svd
+from scipy.linalg import solve_triangular, svd
 
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -330,10 +331,26 @@ KINK_SHARE, KINK_DEVIANCE = 1e-6, 0.01
 LEAST_PRODUCT = 1e-8
 # Share of the largest eigenvalue of the curvature below which a step has no part along a direction.
 LEAST_EIGENVALUE = 1e-14
+# Parameters beyond which factorisations take most of the time of a search, and are saved where they
+# can be. Below, a search on kinks would go another way by rounding, and gain nothing.
+LARGE = 128
+# Least ratio of smallest to largest diagonal entry at which the triangular factor of a square
+# stands for it.
+LEAST_ROOT = 1e-4
 
 
-class LinearisedResiduals(Protocol):
-    """Residuals at a parameter vector, with their derivatives."""
+def clear_root(square: Array) -> Array | None:
+    """The upper triangle whose square it is; None where rounding would count."""
+    with suppress(np.linalg.LinAlgError):
+        root = np.asarray(np.linalg.cholesky(square).T)
+        diagonal = np.diagonal(root)
+        if diagonal.min() > LEAST_ROOT * diagonal.max():
+            return root
+    return None
+
+
+class LinearisedResiduals(Hashable, Protocol):
+    """Residuals at a parameter vector, with their derivatives; told apart by identity."""
 
     @property
     def theta(self) -> Array:
@@ -405,11 +422,15 @@ class Curvature:
         if not self.is_known:
             return linear, at.residuals
         square = linear.T @ linear + self._matrix * np.outer(scales, scales)
+        slope = linear.T @ at.residuals
+        root = clear_root(square) if slope.size > LARGE else None
+        if root is not None:
+            return root, np.asarray(solve_triangular(root, slope, trans="T"))
         values, vectors = np.linalg.eigh(square)
         sizes = np.abs(values)
         is_seen = sizes > LEAST_EIGENVALUE * sizes.max()
         roots = np.sqrt(np.where(is_seen, sizes, 1.0))
-        slope = vectors.T @ (linear.T @ at.residuals)
+        slope = vectors.T @ slope
         matrix = np.where(is_seen, roots, 0.0)[:, None] * vectors.T
         return matrix, np.where(is_seen, slope / roots, 0.0)
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from enum import StrEnum
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import chdtrc
@@ -21,7 +22,7 @@ from identknee.diagnosis.misfit import (
 )
 from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score import CandidateScore, Scores
-from identknee.identify.laplace import log_evidence
+from identknee.identify.laplace import Laplace, laplace, log_evidence
 from identknee.identify.optimum import (
     NuisanceEstimate,
     NuisanceGroup,
@@ -215,6 +216,13 @@ class FittedModel:
     def columns(self, changes: Array) -> Array:
         """Changes of the coordinates (n, 5, k), whitened, shape ``(m, k)``."""
         return self.noise.whiten(self.compared.rows(changes))
+
+
+# Asked for its causes, its ligaments and what they gain, one after the other.
+@lru_cache(maxsize=4)
+def posterior_of(fitted: FittedModel) -> Laplace:
+    """Intervals of all parameters of a fit."""
+    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.scale)
 
 
 def best_fit_from(

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.problem import Evaluation, Evaluator, Problem, ProblemWithPriors, evaluate
-from identknee.diagnosis.fitting import FittedModel, whitened_problem
+from identknee.diagnosis.fitting import FittedModel, posterior_of, whitened_problem
 from identknee.diagnosis.misfit import Projector, ResidualTest, base_projector, omnibus_check
 from identknee.diagnosis.noise_model import NoiseModel
 from identknee.identify.laplace import Interval, Laplace, laplace, log_evidence
@@ -860,11 +860,12 @@ def _part(fitted: FittedModel, is_used: BoolArray) -> FittedModel:
 def _assess(
     fitted: FittedModel, observations: Observations, held: CrossValidation, noise_degrees: float
 ) -> Assessment:
-    at = fitted.evaluation
-    if observations.noise is not fitted.noise:
-        at = evaluate(
-            whitened_problem(fitted.model, fitted.laxity, observations.noise), fitted.theta
-        )
+    if observations.noise is fitted.noise:
+        at, posterior = fitted.evaluation, posterior_of(fitted)
+    else:
+        problem = whitened_problem(fitted.model, fitted.laxity, observations.noise)
+        at = evaluate(problem, fitted.theta)
+        posterior = laplace(at, fitted.model.parameters, observations.noise.scale)
     errors, counts = -fitted.compared.residuals(fitted.theta), fitted.counts_as_misfit
     return Assessment(
         check=omnibus_check(
@@ -873,7 +874,7 @@ def _assess(
         errors=errors,
         in_sample=observations.rmse(errors),
         held_out=held,
-        posterior=laplace(at, fitted.model.parameters, observations.noise.scale),
+        posterior=posterior,
         log_evidence=log_evidence(at, fitted.model.parameters, fitted.constrained.is_held),
     )
 

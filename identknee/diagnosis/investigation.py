@@ -90,8 +90,6 @@ class Investigation:
         The explanations tried.
     conclusion
         The verdict.
-    advice
-        Trials to add; None where nothing is to be distinguished.
     line
         The line of force that explains most where no known cause does; None elsewhere.
     seed
@@ -105,7 +103,6 @@ class Investigation:
     localisation: Localisation
     attribution: Attribution
     conclusion: Conclusion
-    advice: AdvisedProtocol | None
     line: LineFinding | None
     seed: int
 
@@ -120,6 +117,16 @@ class Investigation:
         if self.line is not None and self.line.is_line:
             return self.line.refit
         return self.base
+
+    @cached_property
+    def advice(self) -> AdvisedProtocol | None:
+        """Trials to add; None where nothing is to be distinguished."""
+        if self.conclusion.verdict is not Verdict.AMBIGUOUS:
+            return None
+        noise, found = self.noise, self.attribution
+        known = replace(self.laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
+        with stage("choosing trials"):
+            return advise(found.best, found.open_rivals, known)
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
@@ -258,13 +265,7 @@ def investigate(
     localised = localise(
         fitted.misfit_rows, fitted.misfit_projector, fitted.noise, trial_layout(laxity), seed=seed
     )
-    advice = line = None
-    if conclusion.verdict is Verdict.AMBIGUOUS:
-        known = replace(laxity, sd=noise.sd, within_trial_correlation=noise.correlation)
-        with stage("choosing trials"):
-            advice = advise(attribution.best, attribution.open_rivals, known)
-    if conclusion.verdict is Verdict.UNEXPLAINED:
-        line = find_line(base, seed=seed)
+    line = find_line(base, seed=seed) if conclusion.verdict is Verdict.UNEXPLAINED else None
     return Investigation(
         knee=knee,
         laxity=laxity,
@@ -273,7 +274,6 @@ def investigate(
         localisation=localised,
         attribution=attribution,
         conclusion=conclusion,
-        advice=advice,
         line=line,
         seed=seed,
     )

@@ -215,8 +215,8 @@ def advise_trials(
     def after(chosen: tuple[int, ...]) -> Array:
         """Distances of the pairs with each candidate beside those chosen, ``(n, n_pairs)``."""
         information, nuisances = _marginalised(np.vstack([made, *known[list(chosen)]]), n_nuisances)
-        added = nuisances.information(known[:, :, :n], known[:, :, n:])
-        return _pair_distances(information + added, pairs, n_base)
+        added = nuisances.rows(known[:, :, :n], known[:, :, n:])
+        return _pair_distances(information, added, pairs, n_base)
 
     def reached(chosen: Sequence[int]) -> Array:
         if not chosen:
@@ -243,7 +243,8 @@ def pair_distances(
 ) -> Array:
     """Distance of each pair by rows that are made, shape ``(n_pairs,)``; as in `advise_trials`."""
     information, _ = _marginalised(made, n_nuisances)
-    return np.asarray(_pair_distances(information[None], pairs, n_base)[0])
+    nothing = np.zeros((1, 0, len(information)))
+    return np.asarray(_pair_distances(information, nothing, pairs, n_base)[0])
 
 
 def _marginalised(rows: Array, n_nuisances: int) -> tuple[Array, NuisancePosterior]:
@@ -263,35 +264,61 @@ def _zero_for_same_effect(row: Array, names: tuple[str, ...], effect: ProjectedS
         row[names.index(effect.signature.name)] = 0.0
 
 
-def _pair_distances(information: Array, pairs: Sequence[Pair], n_base: int) -> Array:
-    """The distance of each pair under each of n informations, shape ``(n, n_pairs)``."""
+def _pair_distances(information: Array, added: Array, pairs: Sequence[Pair], n_base: int) -> Array:
+    """The distance of each pair with each of n trials beside an information, ``(n, n_pairs)``.
+
+    Parameters
+    ----------
+    information
+        Of what is made, shape ``(q, q)``.
+    added
+        Rows of each trial in units of their errors, shape ``(n, r, q)``.
+    pairs, n_base
+        As in `advise_trials`.
+    """
     # Many effects have the same rival, whose inverse takes most of the time.
     rivals: dict[tuple[bytes, bytes], _Rival] = {}
     columns = []
     for pair in pairs:
         key = pair.rival.tobytes(), pair.rival_prior_sd.tobytes()
         if key not in rivals:
-            rivals[key] = _Rival(information, pair, n_base)
-        columns.append(rivals[key].distance(information, pair))
+            rivals[key] = _Rival(information, added, pair, n_base)
+        columns.append(rivals[key].distance(pair))
     return np.stack(columns, axis=1)
 
 
 class _Rival:
-    """The span of the base parameters and the amplitudes of a rival."""
+    """The span of the base parameters and the amplitudes of a rival, and trials that add to it.
 
-    def __init__(self, information: Array, pair: Pair, n_base: int) -> None:
+    A trial has few rows, so that the inverse with it is that without it and a correction of as
+    small a rank.
+    """
+
+    def __init__(self, information: Array, added: Array, pair: Pair, n_base: int) -> None:
+        self._information, self._rows = information, added
         self._free = np.concatenate([np.arange(n_base), pair.rival])
         precision = np.concatenate([np.zeros(n_base), pair.rival_prior_sd**-2.0])
-        among = information[:, self._free[:, None], self._free] + np.diag(precision)
+        among = information[np.ix_(self._free, self._free)] + np.diag(precision)
         least = np.finfo(np.float64).tiny
-        self._scale = np.sqrt(np.maximum(np.einsum("nii->ni", among), least))
-        scaled = among / self._scale[:, :, None] / self._scale[:, None, :]
-        self._inverse = np.linalg.pinv(scaled, rcond=LEAST_EIGENVALUE, hermitian=True)
+        self._scale = np.sqrt(np.maximum(np.diag(among), least))
+        sizes, vectors = np.linalg.eigh(among / self._scale[:, None] / self._scale)
+        lowest = LEAST_EIGENVALUE * max(float(np.abs(sizes).max(initial=0.0)), least)
+        is_seen = sizes > lowest
+        self._inverse = (vectors[:, is_seen] / sizes[is_seen]) @ vectors[:, is_seen].T
+        # What nothing has shown yet, a trial may.
+        self._of_free = added[:, :, self._free] / self._scale
+        spread = self._of_free @ (vectors / np.sqrt(np.maximum(sizes, lowest)))
+        self._spread = np.eye(added.shape[1]) + spread @ spread.mT
 
-    def distance(self, information: Array, pair: Pair) -> Array:
-        """Of the effect of a pair from all that they can explain, one of each information."""
-        effect = pair.effect[:, None]
-        towards = information[:, self._free[:, None], pair.effect] @ pair.amplitude / self._scale
-        total = information[:, effect, pair.effect] @ pair.amplitude @ pair.amplitude
-        explained = np.einsum("ni,nij,nj->n", towards, self._inverse, towards)
-        return np.asarray(np.sqrt(np.maximum(total - explained, 0.0)))
+    def distance(self, pair: Pair) -> Array:
+        """Of the effect of a pair from all that they can explain, with each trial, ``(n,)``."""
+        effect, amplitude = pair.effect, pair.amplitude
+        towards = self._information[np.ix_(self._free, effect)] @ amplitude / self._scale
+        total = amplitude @ self._information[np.ix_(effect, effect)] @ amplitude
+        explaining = self._inverse @ towards
+        # What a trial shows of the effect beyond what explains it in all that is made.
+        shown = self._rows[:, :, effect] @ amplitude - self._of_free @ explaining
+        gained = np.einsum(
+            "nr,nr->n", shown, np.linalg.solve(self._spread, shown[..., None])[..., 0]
+        )
+        return np.asarray(np.sqrt(np.maximum(total - towards @ explaining + gained, 0.0)))

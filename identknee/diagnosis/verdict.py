@@ -16,6 +16,7 @@ from identknee.diagnosis.fitting import (
     RivalState,
     could_matter,
     is_undecided,
+    posterior_of,
     refit,
     refit_via_low_loads,
     rivals_of,
@@ -23,7 +24,7 @@ from identknee.diagnosis.fitting import (
 from identknee.diagnosis.misfit import log_weighted_tail
 from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
-from identknee.identify.laplace import Interval, Laplace, laplace
+from identknee.identify.laplace import Interval, Laplace
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS, cause_label
 from identknee.model.effects.insertion import direction_words
@@ -289,15 +290,18 @@ def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...
     begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
     best = max((x.log_evidence for x in begun), default=0.0)
     costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
+    is_finished = [
+        place < ALWAYS or x.log_evidence > best - FAR_BEHIND for place, x in enumerate(begun)
+    ]
     with progress_bar("fitting causes", len(costs), costs=costs) as advance:
         found = [
-            task.finished(base, x) if place < ALWAYS or x.log_evidence > best - FAR_BEHIND else x
-            for place, (task, x) in counted(enumerate(zip(tasks, begun, strict=True)), advance)
+            task.finished(base, x) if is_wanted else x
+            for task, x, is_wanted in counted(zip(tasks, begun, is_finished, strict=True), advance)
         ]
     best = max((x.log_evidence for x in found), default=0.0)
     for place, task in enumerate(tasks):
         if task.is_possible and is_undecided(found[place], best - found[place].log_evidence):
-            found[place] = task.rescued(base, found[place], found)
+            found[place] = task.rescued(base, found, place, is_finished=is_finished[place])
     return tuple(sorted(found, key=lambda x: -x.log_evidence))
 
 
@@ -372,8 +376,14 @@ class _Task:
             found, refit_via_low_loads(base, found, starts[-1]), key=lambda x: x.log_evidence
         )
 
-    def rescued(self, base: Refit, found: Refit, all_found: Sequence[Refit]) -> Refit:
-        """A refit that failed, is stuck or was left, begun again also where others succeeded."""
+    def rescued(
+        self, base: Refit, all_found: Sequence[Refit], place: int, *, is_finished: bool
+    ) -> Refit:
+        """A refit that failed, is stuck or was left, begun again also where others succeeded.
+
+        One that was taken to its end is continued; from its starts it would end there again.
+        """
+        found = all_found[place]
         helpers = [x for x in all_found if x is not found and x.fitted.evaluation.is_finite]
         helpers = sorted(helpers, key=lambda x: -x.log_evidence)[:MOST_HELPERS]
         sizes = [self.values]
@@ -381,7 +391,11 @@ class _Task:
             sizes.append(found.fitted.theta[-len(self.values) :])
         n_base, n = base.n_base, len(self.starts[0]) - len(self.values)
         others = self.starts[1][n_base:n]
-        tried = [self.finished(base, found)]
+        tried = [
+            refit(base, self.causes, [found.fitted.theta])
+            if is_finished
+            else self.finished(base, found)
+        ]
         tried += [
             refit(base, self.causes, [np.r_[x.fitted.theta[:n_base], others, size]])
             for x in helpers
@@ -672,12 +686,6 @@ class Cause:
         return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
 
 
-def posterior_of(refit: Refit) -> Laplace:
-    """Intervals of all parameters of a fit."""
-    fitted = refit.fitted
-    return laplace(fitted.evaluation, fitted.model.parameters, fitted.noise.scale)
-
-
 def causes_of(refit: Refit) -> tuple[Cause, ...]:
     """The causes that a fit has beyond the base model, with their amplitudes.
 
@@ -685,13 +693,13 @@ def causes_of(refit: Refit) -> tuple[Cause, ...]:
     total counts: the root of the sum of their squares, less what their errors add to it. Of others
     in the unit of the first, such as the stiffnesses of two halves, the largest counts.
     """
-    posterior, covariance = posterior_of(refit), refit.covariance()
+    posterior, covariance = posterior_of(refit.fitted), refit.covariance()
     return tuple(_cause(refit, x, posterior, covariance) for x in refit.names)
 
 
 def ligament_estimates(refit: Refit) -> dict[str, dict[str, Estimate]]:
     """The calibrated parameters of a fit by ligament and quantity."""
-    posterior = posterior_of(refit)
+    posterior = posterior_of(refit.fitted)
     n = refit.fitted.model.n_ligament_parameters
     tree: dict[str, dict[str, Estimate]] = {}
     for i, name in enumerate(refit.fitted.model.parameters.names[:n]):

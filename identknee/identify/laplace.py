@@ -1,6 +1,7 @@
 """Laplace approximation truncated at the bounds: intervals and evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -83,14 +84,31 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
     A bound that cuts off a tail of more than 2.5 % is the end of the interval. Exact where one
     component is cut off at most, else averaged over points of a Sobol sequence.
     """
-    _, cut = _cut(mean, covariance, (lower, upper), LEAST_SHARED)
-    shared = _draws(mean, covariance, lower, upper, cut)
-    rows = []
-    for i in range(mean.size):
-        others = shared
-        if i in cut:
-            others = _draws(mean, covariance, lower, upper, cut[cut != i])
-        # Ends of the interval of one component, and which of them are bounds.
+    marginals = _BoxMarginals(mean, covariance, lower, upper)
+    rows = [marginals.interval(i) for i in range(mean.size)]
+    low, high, is_low, is_high = zip(*rows, strict=True)
+    return BoxIntervals(
+        lower=np.array(low),
+        upper=np.array(high),
+        is_lower_bound=np.array(is_low),
+        is_upper_bound=np.array(is_high),
+    )
+
+
+class _BoxMarginals:
+    """Intervals of single components of a normal vector within bounds, see `box_intervals`."""
+
+    def __init__(self, mean: Array, covariance: Array, lower: Array, upper: Array) -> None:
+        self._mean, self._covariance, self._lower, self._upper = mean, covariance, lower, upper
+        _, self._cut = _cut(mean, covariance, (lower, upper), LEAST_SHARED)
+        self._shared = _draws(mean, covariance, lower, upper, self._cut)
+
+    def interval(self, i: int) -> tuple[float, float, bool, bool]:
+        """Ends of the interval of one component, and which of them are bounds."""
+        mean, covariance, lower, upper = self._mean, self._covariance, self._lower, self._upper
+        others = self._shared
+        if i in self._cut:
+            others = _draws(mean, covariance, lower, upper, self._cut[self._cut != i])
         slope = np.linalg.solve(others.factor, covariance[others.components, i])
         sd = float(np.sqrt(covariance[i, i] - slope @ slope))
         middles = mean[i] + others.points @ slope
@@ -102,15 +120,8 @@ def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) ->
         mixture = others.log_weights, middles, sd, below, above
         start = _quantile((2.0 if to_high else 1.0) * TAIL, *mixture)
         end = _quantile(1.0 - (2.0 if from_low else 1.0) * TAIL, *mixture)
-        ends = (float(lower[i]) if from_low else start, float(upper[i]) if to_high else end)
-        rows.append((*ends, from_low, to_high))
-    low, high, is_low, is_high = zip(*rows, strict=True)
-    return BoxIntervals(
-        lower=np.array(low),
-        upper=np.array(high),
-        is_lower_bound=np.array(is_low),
-        is_upper_bound=np.array(is_high),
-    )
+        low, high = float(lower[i]) if from_low else start, float(upper[i]) if to_high else end
+        return low, high, from_low, to_high
 
 
 def log_interval_mass(low: Array, high: Array) -> Array:
@@ -139,13 +150,20 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     n = N_POINTS if cut.size else 1
     factor = np.asarray(np.linalg.cholesky(covariance[np.ix_(cut, cut)]), dtype=np.float64)
     drawn, weights = np.zeros((n, cut.size)), np.zeros(n)
-    points = scipy.stats.qmc.Sobol(max(cut.size, 1), seed=POINTS_SEED).random(N_POINTS)
+    points = _sobol_points(max(cut.size, 1))
     for i in range(cut.size):
         known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
         low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
         weights += log_interval_mass(low, high)
         drawn[:, i] = _within(low, high, points[:, i])
     return _Draws(components=cut, factor=factor, points=drawn, log_weights=weights)
+
+
+@lru_cache(maxsize=16)
+def _sobol_points(n: int) -> Array:
+    points = np.asarray(scipy.stats.qmc.Sobol(n, seed=POINTS_SEED).random(N_POINTS))
+    points.flags.writeable = False
+    return points
 
 
 def _quantile(
@@ -190,47 +208,6 @@ Interval = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Laplace:
-    """The posterior near a fit: Gaussian in the coordinates in which the priors are.
-
-    These are the logarithms of parameters with lognormal priors and the others as they are.
-
-    Attributes
-    ----------
-    theta
-        The fit, shape ``(p,)``.
-    sd
-        Posterior standard deviation of each parameter in its own unit, shape ``(p,)``.
-    lower, upper
-        Ends of their 95 % intervals, within the bounds, shape ``(p,)``.
-    is_lower_open, is_upper_open
-        Whether an end is no limit that the data give, shape ``(p,)``: a bound, or the estimate
-        itself where the linear model puts the interval beside it.
-    log_evidence
-        Logarithm of the integral of likelihood times prior within the bounds.
-    """
-
-    theta: Array
-    sd: Array
-    lower: Array
-    upper: Array
-    is_lower_open: BoolArray
-    is_upper_open: BoolArray
-    log_evidence: float
-
-    def __post_init__(self) -> None:
-        for name in ("theta", "sd", "lower", "upper"):
-            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
-
-    def interval(self, i: int) -> tuple[float | None, float | None]:
-        """Ends of the interval of one parameter; None where the data give none."""
-        return (
-            None if self.is_lower_open[i] else float(self.lower[i]),
-            None if self.is_upper_open[i] else float(self.upper[i]),
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Gaussian:
     """Likelihood times prior near a point: a Gaussian within bounds, in units of the priors' sd."""
 
@@ -239,6 +216,91 @@ class _Gaussian:
     lower: Array
     upper: Array
     log_evidence: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Laplace:
+    """The posterior near a fit: Gaussian in the coordinates in which the priors are.
+
+    These are the logarithms of parameters with lognormal priors and the others as they are. An
+    interval is computed when it is first asked for: of many nuisances few are.
+
+    Attributes
+    ----------
+    theta
+        The fit, shape ``(p,)``.
+    sd
+        Posterior standard deviation of each parameter in its own unit, shape ``(p,)``.
+    log_evidence
+        Logarithm of the integral of likelihood times prior within the bounds.
+    """
+
+    theta: Array
+    sd: Array
+    log_evidence: float
+    _parameters: Parameters = field(repr=False)
+    _near: _Gaussian = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("theta", "sd"):
+            object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
+
+    def interval(self, i: int) -> tuple[float | None, float | None]:
+        """Ends of the interval of one parameter; None where the data give none."""
+        low, high, is_lower_open, is_upper_open = self._ends(i)
+        return None if is_lower_open else low, None if is_upper_open else high
+
+    @property
+    def lower(self) -> Array:
+        """Lower ends of the 95 % intervals, within the bounds, shape ``(p,)``."""
+        return np.array([self._ends(i)[0] for i in range(self.theta.size)])
+
+    @property
+    def upper(self) -> Array:
+        """Their upper ends, shape ``(p,)``."""
+        return np.array([self._ends(i)[1] for i in range(self.theta.size)])
+
+    @property
+    def is_lower_open(self) -> BoolArray:
+        """Whether a lower end is no limit that the data give, shape ``(p,)``.
+
+        It is a bound, or the estimate itself where the linear model puts the interval beside it.
+        """
+        return np.array([self._ends(i)[2] for i in range(self.theta.size)])
+
+    @property
+    def is_upper_open(self) -> BoolArray:
+        """The same of an upper end, shape ``(p,)``."""
+        return np.array([self._ends(i)[3] for i in range(self.theta.size)])
+
+    @cached_property
+    def _marginals(self) -> _BoxMarginals:
+        x = self._near
+        return _BoxMarginals(x.middle, x.covariance, x.lower, x.upper)
+
+    @cached_property
+    def _known_ends(self) -> dict[int, tuple[float, float, bool, bool]]:
+        return {}
+
+    def _ends(self, i: int) -> tuple[float, float, bool, bool]:
+        """Ends of the interval of one parameter, and whether each is open."""
+        if i not in self._known_ends:
+            self._known_ends[i] = self._found_ends(i)
+        return self._known_ends[i]
+
+    def _found_ends(self, i: int) -> tuple[float, float, bool, bool]:
+        low, high, is_lower_bound, is_upper_bound = self._marginals.interval(i)
+        is_log, at = bool(self._parameters.is_log[i]), float(self.theta[i])
+        prior_sd = float(self._parameters.prior_sd[i])
+        point, scale = (np.log(at), at) if is_log else (at, 1.0)
+        low, high = low * prior_sd, high * prior_sd
+        # A fit stopped before its minimum is not where the linear model puts the parameters, and
+        # neither end of such an interval is known.
+        slack = ROUNDING * float(self.sd[i]) / scale
+        is_beside = bool(low > point + slack or high < point - slack)
+        if is_log:
+            low, high = float(np.exp(low)), float(np.exp(high))
+        return min(low, at), max(high, at), is_lower_bound or is_beside, is_upper_bound or is_beside
 
 
 def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | None) -> _Gaussian:
@@ -315,29 +377,15 @@ def laplace(at: Evaluation, parameters: Parameters, noise_scale: Array) -> Lapla
     noise_scale
         Diagonal of the Cholesky factor of the covariance of the data, shape ``(m,)``.
     """
-    is_log, prior_sd = np.array(parameters.is_log), parameters.prior_sd
     near = _gaussian(at, parameters, None)
     constant = -0.5 * len(noise_scale) * np.log(2.0 * np.pi) - np.log(noise_scale).sum()
-    sd = np.sqrt(np.diag(near.covariance)) * prior_sd
-    found = box_intervals(near.middle, near.covariance, near.lower, near.upper)
-    point, lower, upper = (
-        _log_where_lognormal(at.theta, is_log),
-        found.lower * prior_sd,
-        found.upper * prior_sd,
-    )
-    # A fit stopped before its minimum is not where the linear model puts the parameters, and
-    # neither end of such an interval is known.
-    slack = ROUNDING * sd
-    is_beside = (lower > point + slack) | (upper < point - slack)
-    low, high = (np.where(is_log, np.exp(np.where(is_log, x, 0.0)), x) for x in (lower, upper))
+    sd = np.sqrt(np.diag(near.covariance)) * parameters.prior_sd
     return Laplace(
         theta=at.theta,
-        sd=np.where(is_log, at.theta, 1.0) * sd,
-        lower=np.minimum(low, at.theta),
-        upper=np.maximum(high, at.theta),
-        is_lower_open=found.is_lower_bound | is_beside,
-        is_upper_open=found.is_upper_bound | is_beside,
+        sd=np.where(parameters.is_log, at.theta, 1.0) * sd,
         log_evidence=near.log_evidence + float(constant),
+        _parameters=parameters,
+        _near=near,
     )
 
 

@@ -58,7 +58,8 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Knee, StatedPrior
+from identknee.subject.knee import Frame, Knee, StatedPrior
+from identknee.subject.surface import Surface
 
 FIELD_FORMAT = b"field 6"
 Sheet = tuple[Array, IntArray]
@@ -83,14 +84,15 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
 
     The distance field is read from the cache on disk where it was built before.
     """
-    (femoral, _), sheets = contact_sheets(knee)
+    femoral = knee.femur_frame.to_local(knee.femur.vertices)
     flexion, start = start_pose(
         knee.femur_frame.axes @ knee.tibia_frame.axes.T,
         knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
     )
     insertions = np.array([x.femur for x in knee.ligaments]).reshape(-1, 3)
     tibial_insertions = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
-    contact, rounding = contact_points(sheets, n_points), contact_rounding(knee)
+    contact, tibial_rims = _tibial_contact(knee.tibia, knee.tibia_frame, n_points)
+    rounding = contact_rounding(knee)
     if rounding:
         contact = replace(contact, law=ContactLaw(rounding=rounding))
     return ContactGeometry(
@@ -102,10 +104,20 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
             reference_length=knee.reference_lengths,
         ),
         femoral_rim=rim_distance(femoral, knee.femur.faces),
-        tibial_rims=tuple(rim_distance(vertices, faces) for vertices, faces in sheets),
+        tibial_rims=tibial_rims,
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
     )
+
+
+# Knees of one geometry differ in priors, effects and insertions.
+@lru_cache(maxsize=4)
+def _tibial_contact(
+    surfaces: tuple[Surface, ...], frame: Frame, n_points: int | None
+) -> tuple[ContactPoints, tuple[RimDistance, ...]]:
+    """The points that carry contact, and how far places are from each surface's rim."""
+    sheets = [(frame.to_local(x.vertices), x.faces) for x in surfaces]
+    return contact_points(sheets, n_points), tuple(rim_distance(*x) for x in sheets)
 
 
 def contact_sheets(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:

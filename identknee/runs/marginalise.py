@@ -147,17 +147,24 @@ class NuisancePosterior(NamedTuple):
             covariance=self.covariance - gain @ slopes @ self.covariance,
         )
 
-    def information(self, jacobians: Array, slopes: Array) -> Array:
-        """What each of k further trials adds to the information about theta, ``(k, n, n)``.
+    def rows(self, jacobians: Array, slopes: Array) -> Array:
+        """Derivatives of further trials' values by theta, in units of their errors, ``(k, m, n)``.
 
         Parameters
         ----------
         jacobians
-            Derivatives of their values by theta, shape ``(k, m, n)``.
+            Derivatives of the values of each of k trials by theta, shape ``(k, m, n)``.
         slopes
             Change of each value with each nuisance, shape ``(k, m, e)``.
         """
-        rows = whitening(slopes, self.covariance) @ (jacobians + slopes @ self.slope)
+        return np.asarray(whitening(slopes, self.covariance) @ (jacobians + slopes @ self.slope))
+
+    def information(self, jacobians: Array, slopes: Array) -> Array:
+        """What each of k further trials adds to the information about theta, ``(k, n, n)``.
+
+        Parameters as in `rows`.
+        """
+        rows = self.rows(jacobians, slopes)
         return np.asarray(rows.mT @ rows)
 
 

@@ -527,7 +527,7 @@ class Comparison:
         )
         if rest is None:
             return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
-        verdict, causes = rest.conclusion.verdict.value, [x.name for x in rest.causes]
+        verdict, causes = rest.conclusion.verdict.value, [*rest.explanation.names]
         names = f" ({' and '.join(causes)})" if causes else ""
         still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
         why = " ".join(rest.conclusion.reasons)

@@ -25,6 +25,7 @@ MODULES = {
     "posterior": "bench_posterior",
     "uncertain_posterior": "bench_uncertain_posterior",
     "diagnosis": "bench_diagnosis",
+    "many_parameters": "bench_many_parameters",
     "time_left": "bench_time_left",
 }
 

@@ -5,10 +5,14 @@ import pytest
 import scipy.optimize
 
 from identknee.calibrate.bounded_least_squares import (
+    KinkModels,
+    _least_norm_step,
     bounded_step,
     feasible_point,
+    minimise_max_model,
     nearest_attainable,
 )
+from identknee.calibrate.problem import LARGE, Evaluation
 
 # Linear algebra of condition 100 at most.
 CLOSE = 1e-9
@@ -60,6 +64,55 @@ def test_a_beginning_near_the_lowest_point_changes_nothing(
     peer = bounded_step(matrix, data, bounds, None)
     np.testing.assert_allclose(found.step, peer.step, atol=CLOSE)
     np.testing.assert_array_equal(found.is_held, peer.is_held)
+
+
+@pytest.mark.parametrize("reach", [0.01, 0.3, 9.0])
+def test_factors_saved_where_parameters_are_many_change_nothing(
+    reach: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many bounds active, some and none: a matrix, its triangle, on a plane, across a kink."""
+    rng = np.random.default_rng(7)
+    n = LARGE + 12
+    sides = [_side(rng, n) for _ in range(3)]
+    bounds = -reach * rng.exponential(size=n), reach * rng.exponential(size=n)
+    kinks = KinkModels()
+    for side in sides[1:]:
+        kinks.remember(side)
+
+    def found() -> list[np.ndarray]:
+        models = kinks.models(sides[0], np.full(n, 0.5), length=1.0, slack=1e9)
+        triangle = models[0]
+        _, height = minimise_max_model(models, bounds, None, 1e-9)
+        return [
+            bounded_step(sides[0].jacobian, sides[0].residuals, bounds, None).step,
+            bounded_step(triangle[:, :-1], triangle[:, -1], bounds, None).step,
+            bounded_step(sides[0].jacobian, sides[0].residuals, bounds, (np.ones(n), 0.0)).step,
+            np.array([len(models), height]),
+        ]
+
+    large = found()
+    monkeypatch.setattr("identknee.calibrate.bounded_least_squares.LARGE", n)
+    for here, peer in zip(large, found(), strict=True):
+        np.testing.assert_allclose(here, peer, rtol=1e-8, atol=CLOSE)
+
+
+@pytest.mark.parametrize("loose", [0, 3])
+def test_the_least_norm_step_of_many_parameters_is_that_of_lstsq(loose: int) -> None:
+    rng = np.random.default_rng(8)
+    matrix, missing = rng.normal(size=(LARGE + 30, LARGE + 12)), rng.normal(size=LARGE + 30)
+    if loose:
+        matrix[:, :loose] = matrix[:, -loose:]
+    exact, _, _, _ = np.linalg.lstsq(matrix, -missing, rcond=1e-12)
+    np.testing.assert_allclose(_least_norm_step(matrix, missing, 1e-9), exact, atol=CLOSE)
+
+
+def _side(rng: np.random.Generator, n: int) -> Evaluation:
+    jacobian = np.vstack([rng.normal(size=(n + 40, n)) / np.sqrt(n), 0.3 * np.eye(n)])
+    return Evaluation(
+        theta=0.2 * rng.uniform(-1.0, 1.0, size=n),
+        residuals=rng.normal(size=len(jacobian)),
+        jacobian=jacobian,
+    )
 
 
 def test_the_multiplier_is_the_derivative_by_the_plane() -> None:

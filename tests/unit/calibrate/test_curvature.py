@@ -7,7 +7,7 @@ import pytest
 from problems import ClosedForm, plain_parameters
 
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
-from identknee.calibrate.problem import Curvature, Evaluator, ParameterQuantity, evaluate
+from identknee.calibrate.problem import LARGE, Curvature, Evaluator, ParameterQuantity, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
@@ -49,7 +49,11 @@ def brown_and_dennis(*, has_nuisances: bool) -> ClosedForm:
     )
 
 
-def test_what_is_learned_explains_the_change_of_the_gradient() -> None:
+@pytest.mark.parametrize("large", [LARGE, 0])
+def test_what_is_learned_explains_the_change_of_the_gradient(
+    large: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("identknee.calibrate.problem.LARGE", large)
     problem = brown_and_dennis(has_nuisances=True)
     before = evaluate(problem, problem.start)
     after = evaluate(problem, problem.start + np.array([0.3, -0.1, 0.2, 0.4]))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from diagnoses import FRAME, diagnosed
 
 from identknee.diagnosis.verdict import Verdict
@@ -12,7 +13,7 @@ from identknee.verbs.diagnosis import advice_findings
 def test_where_nothing_explains_the_misfit_repeats_are_asked_for() -> None:
     found = diagnosed(FRAME)
     conclusion = replace(found.conclusion, verdict=Verdict.UNEXPLAINED)
-    unexplained = replace(found, conclusion=conclusion, advice=None)
+    unexplained = replace(found, conclusion=conclusion)
     (finding,) = advice_findings(unexplained)
     assert finding.code == "no-trial-advised"
     left = np.nansum((found.base.fitted.differences / found.noise.sd) ** 2, axis=1)
@@ -20,4 +21,19 @@ def test_where_nothing_explains_the_misfit_repeats_are_asked_for() -> None:
     assert finding.values["trials"][0] == worst
     # Nothing is stated to be uncertain there.
     assert "nuisances" not in finding.values
-    assert advice_findings(replace(found, advice=None)) == ()
+    assert advice_findings(found) == ()
+
+
+def test_trials_are_advised_once_and_only_where_they_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(
+        "identknee.diagnosis.investigation.advise", lambda *given: asked.append(given)
+    )
+    found = diagnosed(FRAME)
+    ambiguous = replace(found, conclusion=replace(found.conclusion, verdict=Verdict.AMBIGUOUS))
+    assert ambiguous.explanation.names
+    assert not asked
+    assert (ambiguous.advice, ambiguous.advice) == (None, None)
+    assert len(asked) == 1
