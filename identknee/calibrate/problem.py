@@ -188,6 +188,11 @@ class ProblemWithPriors:
         return self._places.size
 
     @property
+    def is_of_nuisance(self) -> BoolArray:
+        """Which rows of priors are those of nuisances, shape ``(k,)``."""
+        return ~self.parameters.is_of_interest[self._places]
+
+    @property
     def _places(self) -> IntArray:
         if self.has_prior is None:
             return np.arange(self.parameters.n)
@@ -236,6 +241,15 @@ def without_priors(problem: Problem) -> Problem:
 def n_prior_rows(problem: Problem) -> int:
     """How many of the last residuals of the problem are those of priors."""
     return problem.n_priors if isinstance(problem, ProblemWithPriors) else 0
+
+
+def misfit_square(problem: Problem, theta: Array) -> float:
+    """Sum of squares of the data and of the priors of nuisances, without those of other priors."""
+    residuals = problem.residuals(theta)
+    if isinstance(problem, ProblemWithPriors):
+        n = residuals.size - problem.n_priors
+        residuals = residuals[np.r_[np.ones(n, bool), problem.is_of_nuisance]]
+    return sum_of_squares(residuals)
 
 
 def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> RestrictedProblem:

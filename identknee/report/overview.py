@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from enum import Enum, unique
 from math import inf, isinf, sqrt
 
@@ -14,6 +15,7 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
+from identknee.report.opening import Opening, opening_of
 from identknee.report.presenter import (
     NOT_CONVERGED,
     Range,
@@ -23,6 +25,7 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Doubt, doubt_of
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -173,8 +176,12 @@ def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
     """
     found: dict[str, dict[Source, Range]] = {}
     for answer in answers:
+        doubt = doubt_of(answer.findings)
         for name, own in presenter_of(answer).ranges(answer):
-            found.setdefault(name, {})[own.source] = own
+            shown = own
+            if doubt is not None and own.status in KNOWN:
+                shown = replace(own, status=doubt.value)
+            found.setdefault(name, {})[own.source] = shown
     order = list(Source)
     return {
         name: sorted(by_source.values(), key=lambda x: order.index(x.source))
@@ -317,6 +324,7 @@ def _disagreement(fits: Mapping[str, Calibration]) -> str:
 
 MOST_NAMED = 3
 KNOWN = ("known", "probable", "known locally")
+DOUBTS = tuple(x.value for x in Doubt)
 FORCE = ".tension_N@"
 
 
@@ -350,6 +358,7 @@ class Overview:
         "One sentence or two; empty where no result says anything of parameters or model"
     )
     tone: Tone = entry("How it is meant")
+    opening: Opening = entry("What comes before it where a fit is rejected or implausible")
     rows: tuple[Row, ...] = entry("Parameters, then forces")
     reasons: str = entry("Why methods differ, in one line; empty where they do not")
     searches: tuple[str, ...] = entry("Sentences of fits and searches")
@@ -373,9 +382,19 @@ def overview(answers: Sequence[Answer]) -> Overview:
     differ = disagreement(answers)
     sentence, tone = _verdict([x for x in rows if "@" not in x.name], diagnosis, differ)
     shown = [presenter_of(x).headline(x) for x in answers]
+    fits = of_type(answers, Calibration)
+    # Of a fit that another beats no warning leads the page.
+    opening = opening_of(
+        x
+        for x in answers
+        if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
+    )
+    if opening.sentences:
+        tone = Tone.WRONG
     return Overview(
         verdict=" ".join(x for x in (*shown, sentence) if x),
         tone=tone,
+        opening=opening,
         rows=rows,
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
@@ -446,6 +465,8 @@ def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | N
     if not rows:
         return ""
     n, proviso = len(rows), ""
+    if all(x.status in DOUBTS for x in unknown) and len(unknown) == n:
+        return "None of the sets below is known before that is explained."
     if diagnosis is None:
         proviso = ", if the model is right (not tested)"
     elif diagnosis.verdict is Verdict.NOT_TESTABLE:

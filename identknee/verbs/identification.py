@@ -11,6 +11,7 @@ from identknee.calibrate.problem import (
     Problem,
     RestrictedProblem,
     WhitenedResiduals,
+    misfit_square,
     restricted,
     with_bounds,
     with_nuisance_priors,
@@ -19,6 +20,7 @@ from identknee.checks.fit_checks import (
     Fitted,
     bound_findings,
     check_fit,
+    conditional_findings,
     feasibility_findings,
     misfit_findings,
     nuisance_findings,
@@ -147,6 +149,14 @@ class Identification:
             misfit=(*misfit, *bounds),
         )
         return check_fit(fitted, others)
+
+    def conditional_at(self, theta: Array, threshold: float) -> tuple[Finding, ...]:
+        """Whether data and priors of nuisances reject the best fit; none of an estimated noise."""
+        if self.degrees_of_freedom is not None:
+            return ()
+        asked = int(self.problem.parameters.is_of_interest.sum())
+        square, n = misfit_square(self.problem, theta), int(self.laxity.is_measured.sum())
+        return conditional_findings(square, n, asked, threshold=threshold)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain."""

@@ -1,14 +1,15 @@
 """Data sets of 4 to 20 measured values, their profiles, and what the ends of these hang on."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from knees import knee
 
-from identknee.calibrate.problem import BoundedProblem, ParameterQuantity
+from identknee.calibrate.problem import BoundedProblem, ParameterQuantity, Problem
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profile import profile_quantities
-from identknee.identify.profile.result import Profile, ProfileVerdict
+from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
@@ -20,6 +21,8 @@ NOISE = 0.5  # mm and deg
 FEWEST, MOST = 4, 20
 # Of the width of an interval: an end that moves by more with other bounds hangs on them.
 MOVED = 0.1
+# Simulations of a profile: with so few values many have no end to find.
+BUDGET = 300
 
 
 def few_values(name: str, seed: int) -> LaxityResiduals:
@@ -59,47 +62,64 @@ def doubled(parameters: Parameters) -> Parameters:
 
 
 def ends_of_data_set(task: tuple[str, int]) -> dict[str, Any]:
-    """Ends and verdicts of all parameters, and how far the ends move with every bound doubled.
+    """Ends and verdicts of all parameters, and which ends move with every bound doubled.
 
     The oracle knows nothing of how an end is tested: it fits and profiles all over again in the
-    wider box.
+    wider box, every parameter that has an end.
     """
-    name, seed = task
-    problem = few_values(name, seed)
-    found = _profiles(problem)
-    wide = _profiles(BoundedProblem(problem=problem, parameters=doubled(problem.parameters)))
+    problem = few_values(*task)
+    found = profiles_of(problem, problem.parameters.names)
+    closed = [x for x in found if x.lower is not None or x.upper is not None]
+    wide = {x.name: x for x in profiles_of(wider(problem), [x.name for x in closed])}
     return {
         "n_values": int(problem.laxity.is_measured.sum()),
-        "parameters": [x.name for x in found],
-        "verdicts": [x.verdict.value for x in found],
-        "ends": [(x.lower, x.upper) for x in found],
-        "origins": [(x.lower_origin, x.upper_origin) for x in found],
-        "wide_ends": [(x.lower, x.upper) for x in wide],
-        "moves": [_moves(x, y) for x, y in zip(found, wide, strict=True)],
+        "ends": [
+            {
+                "parameter": x.name,
+                "verdict": x.verdict.value,
+                "is_upper": is_upper,
+                "end": end,
+                "other": other,
+                "made_by": None if side.made_by is None else side.made_by.value,
+                "bound_of": side.bound_of,
+                "wide": wide_end,
+                "moves": moves(x, wide[x.name])[is_upper],
+            }
+            for x in closed
+            for is_upper, end, other, side, wide_end in (
+                (False, x.lower, x.upper, x.lower_side, wide[x.name].lower),
+                (True, x.upper, x.lower, x.upper_side, wide[x.name].upper),
+            )
+            if end is not None
+        ],
         "n_simulations": [x.n_simulations for x in found],
     }
 
 
-def _profiles(problem: Any) -> tuple[Profile, ...]:
-    parameters = problem.parameters
-    quantities = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names]
-    return profile_quantities(problem, best_fit(problem).theta, quantities)
+def wider(problem: Problem) -> BoundedProblem:
+    """The problem with every bound doubled."""
+    return BoundedProblem(problem=problem, parameters=doubled(problem.parameters))
 
 
-def _moves(found: Profile, wide: Profile) -> tuple[bool, bool]:
-    """Whether each closed end moves by more than a tenth of the width of its interval."""
-    low, high = found.intervals[0][0], found.intervals[-1][1]
-    inner = (found.intervals[0][1], found.intervals[-1][0])
+def profiles_of(
+    problem: Problem, names: Sequence[str], *, looks_around: bool = True
+) -> tuple[Profile, ...]:
+    """Profiles from the lowest of seventeen fits, with other optima unless told otherwise."""
+    quantities = [ParameterQuantity(parameters=problem.parameters, name=x) for x in names]
+    theta = best_fit(problem).theta
+    starts = None if looks_around else ()
+    return profile_quantities(problem, theta, quantities, budget=BUDGET, starts=starts)
+
+
+def moves(found: Profile, wide: Profile) -> tuple[bool, bool]:
+    """Whether the ends of a set move by more than a tenth of the width of their interval."""
     moved = []
-    for end, other, there in zip((low, high), inner, (wide.lower, wide.upper), strict=True):
+    for place, there in ((0, wide.lower), (1, wide.upper)):
+        interval = found.intervals[-place]
+        end, other = interval[place], interval[1 - place]
         if end is None:
             moved.append(False)
             continue
         width = abs(end - (found.optimum_value if other is None else other))
         moved.append(there is None or abs(there - end) > MOVED * width)
     return moved[0], moved[1]
-
-
-def called_identifiable(verdict: str) -> bool:
-    """Whether the data are said to bound a parameter on both sides."""
-    return verdict == ProfileVerdict.IDENTIFIABLE.value

@@ -18,6 +18,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
+from identknee.runs.findings import Doubt
 from identknee.runs.store import Store, resumable_map
 
 NewData = Callable[[np.random.SeedSequence], Problem]
@@ -566,11 +567,22 @@ class Profile:
         return self.upper_side.origin
 
     @property
-    def proviso(self) -> str:
-        """What must stand beside every word on what is known; empty at a sound fit."""
+    def doubt(self) -> Doubt | None:
+        """Why nothing is known whatever the ends; None at a sound fit."""
         if self.conditional_on_misfit:
-            return "conditional on misfit"
-        return "at an implausible fit" if self.at_implausible_fit else ""
+            return Doubt.MISFIT
+        return Doubt.IMPLAUSIBLE if self.at_implausible_fit else None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the data make both ends, at a fit that is neither rejected nor implausible."""
+        return self.verdict is ProfileVerdict.IDENTIFIABLE and self.doubt is None
+
+    @property
+    def verdict_words(self) -> str:
+        """The verdict in words, with what makes it doubtful."""
+        words = self.verdict.value.replace("_", " ")
+        return words if self.doubt is None else f"{words}, {self.doubt.value}"
 
     @property
     @derived("What the verdict means")
@@ -587,8 +599,8 @@ class Profile:
             for which, side in ends
             if side.made_by is EndOrigin.PRIOR
         ]
-        proviso = [f"All this is {self.proviso}."] if self.proviso else []
-        return " ".join([self.verdict.sentence, *said, *proviso])
+        said += [] if self.doubt is None else [f"That is {self.doubt.value}."]
+        return " ".join([self.verdict.sentence, *said])
 
     @property
     @derived("Points of the curve", unit="1")

@@ -1,0 +1,84 @@
+"""Ends of profiles that hang on the bounds of other parameters, against profiles in a wider box.
+
+With 4 to 20 measured values some ends are made by the box: the oracle fits and profiles again with
+every bound doubled (stiffnesses to 80 kN, strains to 30 %), and an end that it moves by more than a
+tenth of the interval hangs on a bound. No such parameter may be called identifiable.
+"""
+
+import argparse
+from collections import Counter
+from typing import Any
+
+from few_values import BUDGET, KNEES, MOVED, NOISE, ends_of_data_set
+from requirement_rows import Measure, Row
+from work_store import work_store
+
+from identknee.identify.profile.result import ProfileVerdict
+from identknee.runs.executors import process_pool
+from identknee.runs.store import resumable_map
+
+SETS = 30  # of each knee
+WORKERS = 1
+IDENTIFIABLE = ProfileVerdict.IDENTIFIABLE.value
+
+
+def measure(options: argparse.Namespace) -> Row:
+    """How many ends hang on a bound, how many of them are found, and what is called identifiable."""
+    tasks = [(knee, seed) for seed in range(SETS) for knee in KNEES]
+    with (
+        work_store("ends_on_bounds", {"noise": NOISE, "budget": BUDGET}) as store,
+        process_pool(WORKERS) as executor,
+    ):
+        found = resumable_map(
+            ends_of_data_set, tasks, executor=executor, store=store, description="few values"
+        )
+    ends = [x for one in found for x in one["ends"]]
+    hanging = [x for x in ends if x["moves"]]
+    origins = Counter(_origin(x) for x in ends)
+    missed = Counter(f"{x['verdict']}, {_origin(x)}" for x in hanging if _origin(x) != "bound")
+    false = [x for x in hanging if x["verdict"] == IDENTIFIABLE]
+    identifiable = {
+        (task, x["parameter"])
+        for task, one in zip(tasks, found, strict=True)
+        for x in one["ends"]
+        if x["verdict"] == IDENTIFIABLE
+    }
+    return Row(
+        line=f"{len(tasks)} data sets of 4 to 20 values at {NOISE:g} mm and deg, reference and "
+        "lenhart2015_stable: 0 of the ends that move by more than a tenth of their interval with "
+        "every bound doubled belong to a parameter called identifiable",
+        measures=[
+            _count("such ends of a parameter called identifiable", len(false), len(hanging), bar=0),
+            _count("ends that the oracle moves", len(hanging), len(ends)),
+            _count(
+                "of these said to hang on a bound",
+                sum(_origin(x) == "bound" for x in hanging),
+                len(hanging),
+            ),
+            _count(
+                "ends said to hang on a bound that the oracle leaves where they are",
+                sum(_origin(x) == "bound" and not x["moves"] for x in ends),
+                origins["bound"],
+            ),
+            _count("parameters called identifiable", len(identifiable), 8 * len(tasks)),
+        ],
+        notes=[
+            f"moved by more than {MOVED:g} of the interval, or none any more",
+            "origins of closed ends: " + _listed(origins),
+            "moved by the oracle and said to be made by something else: " + _listed(missed),
+            f"simulations: {sum(sum(x['n_simulations']) for x in found)} for "
+            f"{8 * len(tasks)} profiles",
+        ],
+    )
+
+
+def _origin(end: dict[str, Any]) -> str:
+    return end["made_by"] or "not found out"
+
+
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{n} {word}" for word, n in counts.most_common()) or "none"
+
+
+def _count(what: str, value: int, of: int, bar: float | None = None) -> Measure:
+    return Measure(what=what, value=value, unit="", bar=bar, count=of)
