@@ -385,9 +385,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
     fits = of_type(answers, Calibration)
     # Of a fit that another beats no warning leads the page.
     opening = opening_of(
-        x
-        for x in answers
-        if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
+        x for x in answers if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
     )
     if opening.sentences:
         tone = Tone.WRONG

@@ -70,7 +70,9 @@ class Profiles(Answer):
         return dict(zip(self.parameter_names, self.optimum.tolist(), strict=True))
 
     @property
-    @derived("Whether the model leaves more misfit than the noise (p < 0.05): nothing is then known")
+    @derived(
+        "Whether the model leaves more misfit than the noise (p < 0.05): nothing is then known"
+    )
     def conditional_on_misfit(self) -> bool:
         """Whether data and priors of nuisances reject the best fit."""
         return any(x.conditional_on_misfit for x in self.profiles)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from knees import knee
 
-from identknee.calibrate.problem import BoundedProblem, ParameterQuantity, Problem
+from identknee.calibrate.bounded_least_squares import minimise
+from identknee.calibrate.problem import BoundedProblem, Evaluator, ParameterQuantity, Problem
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profile import profile_quantities
 from identknee.identify.profile.result import Profile
@@ -32,9 +33,9 @@ def few_values(name: str, seed: int) -> LaxityResiduals:
     protocol = load_protocol("seed63")
     trials = generator.choice(len(protocol.trials), size=-(-n // 2), replace=False)
     model = LaxityModel(knee=knee(name), protocol=protocol.select(np.sort(trials).tolist()))
-    noisy = add_noise(
-        model.simulate(model.parameters.center), sd_mm=NOISE, sd_deg=NOISE, seed=np.random.SeedSequence((34, seed, 1))
-    )
+    simulated = model.simulate(model.parameters.center)
+    noise = np.random.SeedSequence((34, seed, 1))
+    noisy = add_noise(simulated, sd_mm=NOISE, sd_deg=NOISE, seed=noise)
     # Two or three coordinates a trial, so many values in all.
     cells = np.argwhere(noisy.is_measured)
     kept = generator.choice(len(cells), size=n, replace=False)
@@ -104,11 +105,12 @@ def wider(problem: Problem) -> BoundedProblem:
 def profiles_of(
     problem: Problem, names: Sequence[str], *, looks_around: bool = True
 ) -> tuple[Profile, ...]:
-    """Profiles from the lowest of seventeen fits, with other optima unless told otherwise."""
+    """Profiles from the lowest of seventeen fits and other optima, or from the nearest one only."""
     quantities = [ParameterQuantity(parameters=problem.parameters, name=x) for x in names]
-    theta = best_fit(problem).theta
-    starts = None if looks_around else ()
-    return profile_quantities(problem, theta, quantities, budget=BUDGET, starts=starts)
+    if looks_around:
+        return profile_quantities(problem, best_fit(problem).theta, quantities, budget=BUDGET)
+    nearest = minimise(Evaluator(problem), problem.parameters.center).evaluation.theta
+    return profile_quantities(problem, nearest, quantities, budget=BUDGET, starts=())
 
 
 def moves(found: Profile, wide: Profile) -> tuple[bool, bool]:

@@ -23,7 +23,7 @@ IDENTIFIABLE = ProfileVerdict.IDENTIFIABLE.value
 
 
 def measure(options: argparse.Namespace) -> Row:
-    """How many ends hang on a bound, how many of them are found, and what is called identifiable."""
+    """How many ends hang on a bound, how many of these are found, and what is identifiable."""
     tasks = [(knee, seed) for seed in range(SETS) for knee in KNEES]
     with (
         work_store("ends_on_bounds", {"noise": NOISE, "budget": BUDGET}) as store,
@@ -66,8 +66,7 @@ def measure(options: argparse.Namespace) -> Row:
             f"moved by more than {MOVED:g} of the interval, or none any more",
             "origins of closed ends: " + _listed(origins),
             "moved by the oracle and said to be made by something else: " + _listed(missed),
-            f"simulations: {sum(sum(x['n_simulations']) for x in found)} for "
-            f"{8 * len(tasks)} profiles",
+            f"{sum(sum(x['n_simulations']) for x in found)} simulations in all profiles",
         ],
     )
 

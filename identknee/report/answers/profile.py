@@ -39,7 +39,7 @@ STIFFNESS = "stiffness_kN"
 MOST_NAMED = 5
 PROFILE_WORDS = {
     ProfileVerdict.IDENTIFIABLE: "known",
-    ProfileVerdict.BOUNDED_BY_ASSUMPTION: "by assumption",
+    ProfileVerdict.BOUNDED_BY_ASSUMPTION: "bounded by assumption",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "not known",
     ProfileVerdict.STRUCTURALLY_SUSPECT: "not known",
     ProfileVerdict.MULTIMODAL: "several ranges",
@@ -204,8 +204,7 @@ def profile_drawings(
 
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
-        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, "
-        f"{x.verdict_words}"
+        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, {x.verdict_words}"
         for x in profiles
     )
     yield Drawing(
