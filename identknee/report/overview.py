@@ -25,7 +25,7 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Doubt, doubt_of
+from identknee.runs.findings import doubt_of
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -324,7 +324,6 @@ def _disagreement(fits: Mapping[str, Calibration]) -> str:
 
 MOST_NAMED = 3
 KNOWN = ("known", "probable", "known locally")
-DOUBTS = tuple(x.value for x in Doubt)
 FORCE = ".tension_N@"
 
 
@@ -380,13 +379,14 @@ def overview(answers: Sequence[Answer]) -> Overview:
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
-    sentence, tone = _verdict([x for x in rows if "@" not in x.name], diagnosis, differ)
-    shown = [presenter_of(x).headline(x) for x in answers]
     fits = of_type(answers, Calibration)
     # Of a fit that another beats no warning leads the page.
     opening = opening_of(
         x for x in answers if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
     )
+    parameters = [x for x in rows if "@" not in x.name]
+    sentence, tone = _verdict(parameters, diagnosis, differ, opening)
+    shown = [presenter_of(x).headline(x) for x in answers]
     if opening.sentences:
         tone = Tone.WRONG
     return Overview(
@@ -427,13 +427,15 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
     )
 
 
-def _verdict(rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str) -> tuple[str, Tone]:
+def _verdict(
+    rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str, opening: Opening
+) -> tuple[str, Tone]:
     """One sentence or two, and the worst of what they say."""
     model, tone = _model(diagnosis)
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]
     moved = [x.name for x in rows if x.found.is_moved_by_cause]
-    said = [x for x in (model, _known(rows, unknown, diagnosis)) if x]
+    said = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
     doubts = [f"methods contradict one another on {_named(contradicted)}"] * bool(contradicted)
     doubts += [f"with the cause {_named(moved)} lies outside its set"] * bool(moved)
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
@@ -458,13 +460,15 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
     return diagnosis.sentence, Tone.WRONG
 
 
-def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | None) -> str:
+def _known(
+    rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | None, opening: Opening
+) -> str:
     """How many parameters are known, and on what proviso."""
     if not rows:
         return ""
     n, proviso = len(rows), ""
-    if all(x.status in DOUBTS for x in unknown) and len(unknown) == n:
-        return "None of the sets below is known before that is explained."
+    if opening.sentences and len(unknown) == n:
+        return "None of the values below is known until that is explained."
     if diagnosis is None:
         proviso = ", if the model is right (not tested)"
     elif diagnosis.verdict is Verdict.NOT_TESTABLE:
