@@ -113,6 +113,26 @@ def test_ends_hang_on_bounds_where_a_profile_in_a_wider_box_moves_them() -> None
     assert min(n_moved, n_kept) > 15
 
 
+def test_an_end_that_lies_farther_in_with_more_room_hangs_on_the_bound_too() -> None:
+    """The second parameter is drawn to 2 and stops at 1, so that the first one is too large."""
+    matrix = np.array([[1.0, 1.0], [0.0, 3.0]])
+    pulled = ClosedForm(
+        name="pulled",
+        parameters=plain_parameters(2),
+        start=np.zeros(2),
+        minimum=np.array([1.0, 2.0]),
+        lowest=0.0,
+        residuals_at=lambda x: matrix @ (x - [1.0, 2.0]),
+        jacobian_at=lambda _: matrix,
+    )
+    problem = with_bounds(pulled, {"x1.value_pct": (-1.0, 1.0)})
+    found = profile(problem, np.array([2.0, 1.0]), _first(problem))
+    assert found.upper == pytest.approx(2.0 + Z_95, abs=1e-3)
+    # Up to 2 the best fit is at (1, 2), from where the upper end is at 3.07.
+    assert found.upper_origin == "bound of x1.value_pct"
+    assert found.verdict is ProfileVerdict.BOUNDED_BY_ASSUMPTION
+
+
 def test_of_several_bounds_the_one_that_moves_the_end_most_is_named() -> None:
     """Both let the first parameter go; the second one lets it go farther."""
     matrix = np.array([[1.0, -0.2, -0.8], [0.05, 0.0, 0.0]]) * 4.0
@@ -126,7 +146,7 @@ def test_of_several_bounds_the_one_that_moves_the_end_most_is_named() -> None:
             residuals_at=lambda x: matrix @ x,
             jacobian_at=lambda _: matrix,
         ),
-        {"x1.value_pct": (-10.0, 0.5), "x2.value_pct": (-10.0, 0.5)},
+        {"x1.value_pct": (-0.5, 0.5), "x2.value_pct": (-0.5, 0.5)},
     )
     found = profile(problem, np.zeros(3), _first(problem))
     assert set(found.upper_side.at_bounds) == {"x1.value_pct", "x2.value_pct"}
