@@ -8,8 +8,8 @@ from knees import knee
 
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.problem import BoundedProblem, Evaluator, ParameterQuantity, Problem
-from identknee.identify.profile.profile import profile_quantities
-from identknee.identify.profile.result import Profile
+from identknee.identify.profile.profile import UNDECIDED, profile_quantities
+from identknee.identify.profile.result import Profile, Side
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
@@ -21,8 +21,8 @@ NOISE = 0.5  # mm and deg
 FEWEST, MOST = 4, 20
 # Of the width of an interval: an end that moves by more with other bounds hangs on them.
 MOVED = 0.1
-# Simulations of a profile: with so few values many have no end to find.
-BUDGET = 200
+# Simulations of a profile, of which many have no end to find with so few values, and of the oracle.
+BUDGET, ORACLE_BUDGET = 300, 1000
 
 
 def few_values(name: str, seed: int) -> LaxityResiduals:
@@ -62,36 +62,36 @@ def doubled(parameters: Parameters) -> Parameters:
 
 
 def ends_of_data_set(task: tuple[str, int]) -> dict[str, Any]:
-    """Ends and verdicts of all parameters, and which ends move with every bound doubled.
+    """Origins of all closed ends; of sets closed on both sides, whether every bound doubled moves.
 
     The oracle knows nothing of how an end is tested: it fits and profiles all over again in the
-    wider box, every parameter that has an end.
+    wider box.
     """
     problem = few_values(*task)
-    found = profiles_of(problem, problem.parameters.names)
-    closed = [x for x in found if x.lower is not None or x.upper is not None]
-    wide = {x.name: x for x in profiles_of(wider(problem), [x.name for x in closed])}
+    found = profiles_of(problem, problem.parameters.names, budget=BUDGET)
+    closed = [x.name for x in found if x.lower is not None and x.upper is not None]
+    wide = {x.name: x for x in profiles_of(wider(problem), closed, budget=ORACLE_BUDGET)}
+    ends = []
+    for x in found:
+        moved = moves(x, wide[x.name]) if x.name in wide else (None, None)
+        for side, own in zip((x.lower_side, x.upper_side), moved, strict=True):
+            if side.end is None:
+                continue
+            ends.append(
+                {
+                    "parameter": x.name,
+                    "verdict": x.verdict.value,
+                    "set": (x.lower, x.upper),
+                    "end": side.end,
+                    "made_by": None if side.made_by is None else side.made_by.value,
+                    "bound_of": side.bound_of,
+                    "wide": (wide[x.name].lower, wide[x.name].upper) if x.name in wide else None,
+                    "moves": own,
+                }
+            )
     return {
         "n_values": int(problem.laxity.is_measured.sum()),
-        "ends": [
-            {
-                "parameter": x.name,
-                "verdict": x.verdict.value,
-                "is_upper": is_upper,
-                "end": end,
-                "other": other,
-                "made_by": None if side.made_by is None else side.made_by.value,
-                "bound_of": side.bound_of,
-                "wide": wide_end,
-                "moves": moves(x, wide[x.name])[is_upper],
-            }
-            for x in closed
-            for is_upper, end, other, side, wide_end in (
-                (False, x.lower, x.upper, x.lower_side, wide[x.name].lower),
-                (True, x.upper, x.lower, x.upper_side, wide[x.name].upper),
-            )
-            if end is not None
-        ],
+        "ends": ends,
         "n_simulations": [x.n_simulations for x in found],
     }
 
@@ -102,7 +102,7 @@ def wider(problem: Problem) -> BoundedProblem:
 
 
 def profiles_of(
-    problem: Problem, names: Sequence[str], *, looks_around: bool = True
+    problem: Problem, names: Sequence[str], *, budget: int, looks_around: bool = True
 ) -> tuple[Profile, ...]:
     """Profiles from the optimum nearest to the subject's values, with other optima or without.
 
@@ -112,18 +112,21 @@ def profiles_of(
     quantities = [ParameterQuantity(parameters=problem.parameters, name=x) for x in names]
     nearest = minimise(Evaluator(problem), problem.parameters.center).evaluation.theta
     starts = None if looks_around else ()
-    return profile_quantities(problem, nearest, quantities, budget=BUDGET, starts=starts)
+    return profile_quantities(problem, nearest, quantities, budget=budget, starts=starts)
 
 
-def moves(found: Profile, wide: Profile) -> tuple[bool, bool]:
-    """Whether the ends of a set move by more than a tenth of the width of their interval."""
-    moved = []
-    for place, there in ((0, wide.lower), (1, wide.upper)):
-        interval = found.intervals[-place]
-        end, other = interval[place], interval[1 - place]
-        if end is None:
-            moved.append(False)
-            continue
-        width = abs(end - (found.optimum_value if other is None else other))
-        moved.append(there is None or abs(there - end) > MOVED * width)
-    return moved[0], moved[1]
+def moves(found: Profile, wide: Profile) -> tuple[bool | None, bool | None]:
+    """Whether the ends of a set move by more than a tenth of its width, or are none any more.
+
+    None where the set has no such end, or the wider profile did not finish there.
+    """
+    sides = ((found.lower_side, wide.lower_side), (found.upper_side, wide.upper_side))
+    low, high = sides[0][0].end, sides[1][0].end
+    width = np.inf if low is None or high is None else high - low
+    return _moves(*sides[0], width), _moves(*sides[1], width)
+
+
+def _moves(own: Side, there: Side, width: float) -> bool | None:
+    if own.end is None or there.status in UNDECIDED:
+        return None
+    return there.end is None or abs(there.end - own.end) > MOVED * width

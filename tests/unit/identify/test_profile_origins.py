@@ -251,7 +251,7 @@ def test_of_few_values_no_parameter_on_a_bound_is_identifiable(
     """Against profiles with every bound doubled, as the row `ends_on_bounds` has many."""
     problem = few_values(knee, seed)
     (found,), (wide,) = (
-        profiles_of(x, [name], looks_around=False) for x in (problem, wider(problem))
+        profiles_of(x, [name], budget=1000, looks_around=False) for x in (problem, wider(problem))
     )
     hangs = tuple(x.made_by is EndOrigin.BOUND for x in (found.lower_side, found.upper_side))
     assert hangs == moves(found, wide)
