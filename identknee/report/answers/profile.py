@@ -27,6 +27,7 @@ from identknee.runs.words import (
     between,
     capitalised,
     label,
+    label_without_unit,
     listed,
     owner_words,
     parameter_words,
@@ -127,6 +128,17 @@ def _assumptions(profile: Profile) -> str:
     return f"; {listed(said)}" if said else ""
 
 
+def _assumed_ends(profile: Profile) -> str:
+    """The same for a table."""
+    said = []
+    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
+        if side.bound_of is not None:
+            said.append(f"{which}: bound of {label_without_unit(side.bound_of)}")
+        elif side.made_by is EndOrigin.PRIOR:
+            said.append(f"{which}: prior")
+    return ", ".join(said)
+
+
 def _feasibility_limits(profile: Profile) -> str:
     """Where the model and not the data ends a set, to follow what the data say; mostly empty."""
     places = [
@@ -163,6 +175,8 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
 
 
 def _table(profiles: Sequence[Profile], title: str) -> Table:
+    assumed = [_assumed_ends(x) for x in profiles]
+    more = ("ends not made by data",) if any(assumed) else ()
     return table(
         title,
         (
@@ -171,6 +185,7 @@ def _table(profiles: Sequence[Profile], title: str) -> Table:
             ("best", None),
             ("upper end", None),
             "verdict",
+            *more,
             "simulations",
         ),
         (
@@ -180,9 +195,10 @@ def _table(profiles: Sequence[Profile], title: str) -> Table:
                 x.optimum_value,
                 _end(x.upper_side),
                 x.verdict_words,
+                *(words for _ in more),
                 x.n_simulations,
             )
-            for x in profiles
+            for x, words in zip(profiles, assumed, strict=True)
         ),
     )
 
