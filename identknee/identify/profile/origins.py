@@ -111,35 +111,51 @@ class OriginFinder:
         return found
 
     def _moves_outward(self, end: ClosedEnd) -> bool | None:
-        """Whether the end lies farther out with twice the room, up to the quantity's own bounds."""
+        """Whether the end lies farther out with twice the room, up to the quantity's own bounds.
+
+        The fit at the end is begun from there, and from the middle of the prior too: a bound may
+        bar the way to sets in which the parameters exchange their roles.
+        """
         walk = self._with_room(self._problem.parameters.names)
-        point = self._settled(walk, end)
+        low, high = self._walk.limits
+        limits = (max(low, end.beyond(MOVED)), high)
+        if end.direction > 0:
+            limits = (low, min(high, end.beyond(MOVED)))
         moves: bool | None = False
-        if point is None:
-            moves = None
-        elif walk.delta(point) < (1.0 - TOLERANCE) * walk.threshold:
-            low, high = self._walk.limits
-            walk.limits = (max(low, end.beyond(MOVED)), high)
-            if end.direction > 0:
-                walk.limits = (low, min(high, end.beyond(MOVED)))
-            status = march(walk, point, end.direction).side.status
-            moves = None if status in NOT_COMPUTED else status is not SideStatus.CLOSED
-        elif not walk.is_settled(point):
-            moves = None
+        for is_own, start in (
+            (True, end.nearest.evaluation.theta),
+            (False, self._problem.parameters.center),
+        ):
+            point = self._fit(walk, end, start, is_own=is_own)
+            if point is None:
+                moves = None
+                break
+            if walk.delta(point) < (1.0 - TOLERANCE) * walk.threshold:
+                walk.limits = limits
+                status = march(walk, point, end.direction).side.status
+                moves = None if status in NOT_COMPUTED else status is not SideStatus.CLOSED
+            elif is_own and not walk.is_settled(point):
+                moves = None
+            if moves:
+                break
         self.n_simulations += walk.evaluator.n_simulations
         return moves
 
-    def _settled(self, walk: ProfileContext, end: ClosedEnd) -> ProfilePoint | None:
+    def _fit(
+        self, walk: ProfileContext, end: ClosedEnd, start: Array, *, is_own: bool
+    ) -> ProfilePoint | None:
         """The fit at an end with other bounds; None where the budget was used up before.
 
-        Where the feasibility boundary of the model stops it, it is begun again from around the end.
+        Where it is begun at the end's own parameters and the feasibility boundary of the model
+        stops it, it is begun again from around them.
         """
         at, tolerance = end.nearest.evaluation, TOLERANCE * walk.threshold
-        solved = walk.solve(end.value, at.theta, tolerance=tolerance)
+        solved = walk.solve(end.value, start, tolerance=tolerance)
         if solved.outcome is Outcome.BUDGET:
             return None
         point = walk.point(solved)
-        if not walk.is_settled(point) and walk.delta(point) > (1.0 - TOLERANCE) * walk.threshold:
+        is_excluded = walk.delta(point) > (1.0 - TOLERANCE) * walk.threshold
+        if is_own and is_excluded and not walk.is_settled(point):
             around = walk.solve_around(end.value, at, tolerance=tolerance)
             if around is not None and around.evaluation.deviance < solved.evaluation.deviance:
                 return walk.point(around)
