@@ -133,11 +133,13 @@ class OriginFinder:
             if walk.delta(point) < (1.0 - TOLERANCE) * walk.threshold:
                 walk.limits = limits
                 status = march(walk, point, end.direction).side.status
-                moves = None if status in NOT_COMPUTED else status is not SideStatus.CLOSED
+                if status in NOT_COMPUTED:
+                    moves = None
+                elif status is not SideStatus.CLOSED:
+                    moves = True
+                    break
             elif is_own and not walk.is_settled(point):
                 moves = None
-            if moves:
-                break
         self.n_simulations += walk.evaluator.n_simulations
         return moves
 
