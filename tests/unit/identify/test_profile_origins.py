@@ -239,10 +239,11 @@ def test_an_optimum_a_rounding_error_before_a_bound_has_a_profile() -> None:
     ("knee", "seed", "name"),
     [
         ("reference", 1, "ACL.reference_strain_pct"),
-        ("reference", 1, "PCL.reference_strain_pct"),
-        ("reference", 1, "LCL.stiffness_kN"),
+        ("reference", 3, "LCL.reference_strain_pct"),
+        ("reference", 5, "ACL.stiffness_kN"),
         ("lenhart2015_stable", 1, "ACL.reference_strain_pct"),
-        ("lenhart2015_stable", 1, "LCL.reference_strain_pct"),
+        ("lenhart2015_stable", 3, "ACL.reference_strain_pct"),
+        ("lenhart2015_stable", 5, "PCL.reference_strain_pct"),
     ],
 )
 def test_of_few_values_no_parameter_on_a_bound_is_identifiable(
