@@ -17,7 +17,7 @@ from identknee.identify.profile.result import ProfileVerdict
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
 
-SETS = 30  # of each knee
+SETS = 26  # of each knee
 WORKERS = 1
 IDENTIFIABLE = ProfileVerdict.IDENTIFIABLE.value
 
