@@ -278,6 +278,17 @@ def evidence_terms(problem: Problem, theta: Array) -> tuple[EvidenceTerm, ...]:
     )
 
 
+def misfit_square(problem: Problem, theta: Array) -> float:
+    """Sum of squares of the data and of the priors of nuisances; inf without a prediction."""
+    terms = evidence_terms(problem, theta)
+    return sum(x.deviance for x in terms if x.name != LIGAMENT_TERM) if terms else np.inf
+
+
+def n_prior_rows(problem: Problem) -> int:
+    """How many of the last residuals of the problem are those of priors."""
+    return problem.places.size if isinstance(problem, ProblemWithPriors) else 0
+
+
 def restricted(problem: Problem, fixed: Sequence[str], values: Array) -> RestrictedProblem:
     """The problem with the parameters named `fixed` fixed at their `values`, shape ``(n,)``.
 
@@ -308,6 +319,33 @@ def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> 
         if low < floor:
             raise ValueError(f"the lower bound of {name} must be {floor:g} or more, got {low:g}")
     return BoundedProblem(problem=problem, parameters=parameters)
+
+
+def with_room_doubled(problem: Problem, names: Sequence[str]) -> BoundedProblem:
+    """The problem with the room of the bounds of the parameters named doubled.
+
+    A bound moves outward by its distance from zero, or by half the width of the range where that is
+    more: 0 to 40 kN becomes 0 to 80 kN, and -15 to 15 % becomes -30 to 30 %. What cannot be
+    negative stays positive: its lower bound is halved, and one of zero stays, as does the zero of a
+    nuisance, which is a sign.
+    """
+    parameters = problem.parameters
+    lower, upper = parameters.lower, parameters.upper
+    half = 0.5 * (upper - lower)
+    half = np.where(np.isfinite(half), half, 0.0)
+    is_sign = (floors(parameters) == 0.0) | (~parameters.is_of_interest & (lower == 0.0))
+    below = np.where(is_sign, 0.5 * lower, lower - np.maximum(np.abs(lower), half))
+    above = upper + np.maximum(np.abs(upper), half)
+    return BoundedProblem(
+        problem=problem,
+        parameters=parameters.with_bounds(
+            {
+                name: (float(below[i]), float(above[i]))
+                for name in names
+                for i in (parameters.index(name),)
+            }
+        ),
+    )
 
 
 # Singular values of a Jacobian below this share of the largest are rounding, not information.

@@ -54,10 +54,48 @@ ALIKE, ROUNDING = 1e-3, 1e-9
 N_DRAWS = 100
 # Share of the draws without prediction that is reported.
 NOTEWORTHY = 0.02
+# Probability of a misfit by noise alone below which intervals are conditional on it.
+REJECTED = 0.05
 # Joint distance of a group of nuisances from their prior that is reported: 3 standard
 # deviations of one of them, shared by all groups that are looked at.
 BEYOND_PRIOR = 0.0027
 TINY = 1e-12
+
+
+def misfit_probability(square: float, n_values: int, n_parameters: int) -> float:
+    """Probability that noise of the stated size leaves so much misfit or more.
+
+    1 where it cannot be judged: without a degree of freedom or a prediction.
+    """
+    degrees = n_values - n_parameters
+    if degrees < 1 or not np.isfinite(square):
+        return 1.0
+    return float(chdtrc(degrees, square))
+
+
+def conditional_findings(
+    square: float, n_values: int, n_parameters: int, *, threshold: float
+) -> tuple[Finding, ...]:
+    """Whether data and priors of nuisances reject a fit, so that its intervals are conditional.
+
+    Parameters
+    ----------
+    square, n_values, n_parameters
+        As in `misfit_findings`.
+    threshold
+        Rise of the deviance that bounds the intervals.
+    """
+    p = misfit_probability(square, n_values, n_parameters)
+    if p >= REJECTED:
+        return ()
+    values = {
+        "n": n_values,
+        "deviance": square,
+        "p": p,
+        "threshold": threshold,
+        "command": "identknee diagnose",
+    }
+    return (finding("conditional-on-misfit", "data", values),)
 
 
 def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
@@ -71,9 +109,9 @@ def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Fi
     n_values, n_parameters
         Values measured, and parameters fitted to them.
     """
-    degrees = n_values - n_parameters
-    if degrees < 1 or not np.isfinite(square) or chdtrc(degrees, square) >= IMPROBABLE:
+    if misfit_probability(square, n_values, n_parameters) >= IMPROBABLE:
         return ()
+    degrees = n_values - n_parameters
     ratio = square / degrees
     sentence = (
         f"The best fit leaves {ratio:.3g} times the misfit that noise of the stated size would "

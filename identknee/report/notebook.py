@@ -11,6 +11,7 @@ from identknee.calibrate.fit import load_start
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.model.laxity_model import model_for_tests
 from identknee.report.figures import png, show_figures
+from identknee.report.opening import opening_of
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, drawings, laxity_drawings
 from identknee.report.page.viewer import model_scene, scene_of, viewer_html
@@ -40,7 +41,7 @@ def result_of(answer: Answer, folder: Path | None = None) -> Result:
 
 def answer_html(answer: Answer) -> str:
     """The answer for a notebook: its main sentences, a table and one figure, at most 200 kB."""
-    main = main_statements(answer)
+    main, opening = main_statements(answer), opening_of([answer])
     tables = [x.first_rows() for said in (*main, *statements_of(answer)) for x in said.tables]
     picture, caption = b"", ""
     for drawing in _drawings(answer)[:1]:
@@ -51,11 +52,11 @@ def answer_html(answer: Answer) -> str:
                 break
     return str(
         parts().notebook_answer(
-            [x.sentence for x in main],
+            [*opening.sentences, *(x.sentence for x in main)],
             tables[:1],
             b64encode(picture).decode("ascii"),
             caption,
-            finding_lines(answer.findings),
+            finding_lines(opening.without(answer.findings)),
         )
     )
 

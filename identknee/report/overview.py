@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from enum import Enum, unique
 from math import inf, isinf, sqrt
 
@@ -14,6 +15,7 @@ from identknee.laxity.protocol import FLEXION, LOADS
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import trial_description
 from identknee.model.effects.facts import cause_label
+from identknee.report.opening import Opening, opening_of
 from identknee.report.presenter import (
     NOT_CONVERGED,
     Range,
@@ -24,6 +26,7 @@ from identknee.report.presenter import (
 )
 from identknee.report.questions import question_sentences
 from identknee.runs.declare import declared, entry
+from identknee.runs.findings import doubt_of
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -174,8 +177,12 @@ def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
     """
     found: dict[str, dict[Source, Range]] = {}
     for answer in answers:
+        doubt = doubt_of(answer.findings)
         for name, own in presenter_of(answer).ranges(answer):
-            found.setdefault(name, {})[own.source] = own
+            shown = own
+            if doubt is not None and own.status in KNOWN:
+                shown = replace(own, status=doubt.value)
+            found.setdefault(name, {})[own.source] = shown
     order = list(Source)
     return {
         name: sorted(by_source.values(), key=lambda x: order.index(x.source))
@@ -351,6 +358,7 @@ class Overview:
         "One sentence or two; empty where no result says anything of parameters or model"
     )
     tone: Tone = entry("How it is meant")
+    opening: Opening = entry("What comes before it where a fit is rejected or implausible")
     rows: tuple[Row, ...] = entry("Parameters, then forces")
     reasons: str = entry("Why methods differ, in one line; empty where they do not")
     searches: tuple[str, ...] = entry("Sentences of fits and searches")
@@ -375,11 +383,20 @@ def overview(answers: Sequence[Answer]) -> Overview:
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
-    sentence, tone = _verdict([x for x in rows if "@" not in x.name], diagnosis, differ)
+    fits = of_type(answers, Calibration)
+    # Of a fit that another beats no warning leads the page.
+    opening = opening_of(
+        x for x in answers if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
+    )
+    parameters = [x for x in rows if "@" not in x.name]
+    sentence, tone = _verdict(parameters, diagnosis, differ, opening)
     shown = [presenter_of(x).headline(x) for x in answers]
+    if opening.sentences:
+        tone = Tone.WRONG
     return Overview(
         verdict=" ".join(x for x in (*shown, sentence) if x),
         tone=tone,
+        opening=opening,
         rows=rows,
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
@@ -415,13 +432,15 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
     )
 
 
-def _verdict(rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str) -> tuple[str, Tone]:
+def _verdict(
+    rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str, opening: Opening
+) -> tuple[str, Tone]:
     """One sentence or two, and the worst of what they say."""
     model, tone = _model(diagnosis)
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]
     moved = [x.name for x in rows if x.found.is_moved_by_cause]
-    said = [x for x in (model, _known(rows, unknown, diagnosis)) if x]
+    said = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
     doubts = [f"methods contradict one another on {_named(contradicted)}"] * bool(contradicted)
     doubts += [f"with the cause {_named(moved)} lies outside its set"] * bool(moved)
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
@@ -446,11 +465,15 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
     return diagnosis.sentence, Tone.WRONG
 
 
-def _known(rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | None) -> str:
+def _known(
+    rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | None, opening: Opening
+) -> str:
     """How many parameters are known, and on what proviso."""
     if not rows:
         return ""
     n, proviso = len(rows), ""
+    if opening.sentences and len(unknown) == n:
+        return "None of the values below is known until that is explained."
     if diagnosis is None:
         proviso = ", if the model is right (not tested)"
     elif diagnosis.verdict is Verdict.NOT_TESTABLE:

@@ -79,7 +79,7 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
                         ha="left" if turn < 0 else "right",
                     )
         axes.set_ylim(-0.05 * top, top)
-        verdict = profile.verdict.value.replace("_", " ")
+        verdict = profile.verdict_words
         quantity, at, trial = profile.name.partition("@")
         name = label_without_unit(quantity)
         unit = f" [{profile.unit}]" if profile.unit else ""
@@ -143,7 +143,7 @@ def intervals_figure(
                         zorder=4,
                     )
             axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
-            verdict = profile.verdict.value.replace("_", " ")
+            verdict = profile.verdict_words
             axes.annotate(
                 f"{profile.optimum_value:.3g} {profile.unit}, {verdict}",
                 (1.01, row),

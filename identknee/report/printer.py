@@ -3,6 +3,7 @@
 import textwrap
 from typing import TYPE_CHECKING
 
+from identknee.report.opening import opening_of
 from identknee.report.presenter import assumption_sentences, main_statements, statements_of
 from identknee.runs.findings import finding_lines
 from identknee.verbs.answer import Answer
@@ -20,19 +21,24 @@ def full_text(answer: Answer) -> str:
 
 def terminal_lines(answer: Answer) -> list[str]:
     """What a person reads of an answer: sentences with their tables, then what to know."""
-    lines: list[str] = []
+    opening = opening_of([answer])
+    lines = list(opening.sentences)
     for statement in statements_of(answer):
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables)]
-    return [*lines, *assumption_sentences(answer), *finding_lines(answer.findings)]
+    left = finding_lines(opening.without(answer.findings))
+    return [*lines, *assumption_sentences(answer), *left]
 
 
 def short_text(answer: Answer) -> str:
     """What the answer says, cut to a screen."""
+    opening = opening_of([answer])
     lines = [f"{type(answer).__name__}:"]
+    for sentence in opening.sentences:
+        lines += textwrap.wrap(sentence, WIDTH)
     for statement in main_statements(answer):
         lines += textwrap.wrap(statement.sentence, WIDTH)
         lines += [y[:WIDTH] for x in statement.tables[:1] for y in str(x.first_rows()).splitlines()]
-    for line in finding_lines(answer.findings):
+    for line in finding_lines(opening.without(answer.findings)):
         lines += textwrap.wrap(line, WIDTH)
     last = "All of it: print(answer). A figure: answer.plot(). A page: ik.report(answer, PATH)."
     room = MOST_LINES - 1

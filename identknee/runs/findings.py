@@ -43,6 +43,14 @@ class About(Enum):
     EARLIER = "Stored by an earlier version"
 
 
+@unique
+class Doubt(Enum):
+    """Why nothing is known at a fit, whatever its intervals; the value stands beside such words."""
+
+    MISFIT = "conditional on misfit"
+    IMPLAUSIBLE = "at an implausible fit"
+
+
 @declared
 class FindingKind:
     """What all findings of one code have in common."""
@@ -67,6 +75,11 @@ class FindingKind:
         "Values that tell findings of this code about one place apart; of findings that agree"
         " in them a report shows one",
         default=(),
+    )
+    doubt: Doubt | None = entry(
+        "Why nothing is known at a fit of which this was found: its results open with the finding; "
+        "none for most",
+        default=None,
     )
     invalidates: bool = entry(
         "Whether nothing could be computed, or nothing computed holds. A command that finds "
@@ -159,9 +172,22 @@ _ALL = (
         remedy="Check the trial in the raw data, and leave it out with --leave-out if it is wrong.",
     ),
     FindingKind(
+        code="conditional-on-misfit",
+        severity=WARNING,
+        about=About.FIT,
+        doubt=Doubt.MISFIT,
+        meaning="The data and the priors of nuisances reject the best fit (p < 0.05), so that the "
+        "intervals of a profile hold only as far as that misfit does not matter.",
+        remedy="Run identknee diagnose, and profile again with the cause that it names.",
+        template="The model leaves more misfit than the noise: deviance {deviance:.4g} of {n} "
+        "measured values, p = {p:.2g}. As long as it does, the threshold of {threshold:.2f} means "
+        "nothing, and no value is known. Next: {command}",
+    ),
+    FindingKind(
         code="misfit-gross",
         severity=ERROR,
         about=About.FIT,
+        doubt=Doubt.MISFIT,
         meaning="The best fit leaves more than nine times the misfit that noise of the stated size "
         "would: a mistake in the data, or something that the model lacks.",
         remedy="Look at signs, units and side of the data, then run identknee diagnose.",
@@ -170,6 +196,7 @@ _ALL = (
         code="misfit-improbable",
         severity=WARNING,
         about=About.FIT,
+        doubt=Doubt.MISFIT,
         meaning="The best fit leaves more misfit than noise of the stated size would in one of a "
         "thousand tables.",
         remedy="Run identknee diagnose; uncertainties that are reported do not allow for it.",
@@ -178,6 +205,7 @@ _ALL = (
         code="error-large",
         severity=ERROR,
         about=About.FIT,
+        doubt=Doubt.MISFIT,
         meaning="The data state no noise, and the best fit leaves more than the expected error of "
         "a laxity test (2 mm, 5 deg).",
         remedy="Look at signs, units and side of the data, then run identknee diagnose.",
@@ -303,6 +331,7 @@ _ALL = (
         code="implausible-force",
         severity=WARNING,
         about=About.MODEL,
+        doubt=Doubt.IMPLAUSIBLE,
         meaning="A ligament carries more than twice the mean load at which such ligaments fail.",
         remedy="Do not use forces of this fit; run identknee diagnose.",
         lead=IMPLAUSIBLE,
@@ -313,6 +342,7 @@ _ALL = (
         code="implausible-strain",
         severity=WARNING,
         about=About.MODEL,
+        doubt=Doubt.IMPLAUSIBLE,
         meaning="A ligament is strained beyond what ligament tissue bears.",
         remedy="Do not use strains of this fit; run identknee diagnose.",
         lead=IMPLAUSIBLE,
@@ -323,6 +353,7 @@ _ALL = (
         code="one-sided-contact",
         severity=WARNING,
         about=About.MODEL,
+        doubt=Doubt.IMPLAUSIBLE,
         meaning="Without varus moment nearly all contact force acts in one compartment.",
         remedy="Do not use contact forces of this fit; check frames and registration.",
         lead=IMPLAUSIBLE,
@@ -673,6 +704,12 @@ def without_repeats(findings: Iterable[Found]) -> tuple[Found, ...]:
     for x in by_severity(findings):
         kept.setdefault(x.identity, x)
     return tuple(kept.values())
+
+
+def doubt_of(findings: Iterable[Finding]) -> Doubt | None:
+    """Why nothing is known at the fit of which these were found; None where nothing says so."""
+    found = {x.kind.doubt for x in findings}
+    return next((x for x in Doubt if x in found), None)
 
 
 def invalidating(findings: Iterable[Finding]) -> str:

@@ -8,11 +8,11 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
-    LIGAMENT_TERM,
     Problem,
     RestrictedProblem,
     WhitenedResiduals,
     evidence_terms,
+    misfit_square,
     restricted,
     with_all_priors,
     with_bounds,
@@ -22,6 +22,7 @@ from identknee.checks.fit_checks import (
     Fitted,
     bound_findings,
     check_fit,
+    conditional_findings,
     feasibility_findings,
     misfit_findings,
     nuisance_findings,
@@ -126,8 +127,7 @@ class Identification:
         whole = self.free.expand(theta)
         if not is_draw:
             # A ligament far from its prior is no misfit of the model.
-            terms = evidence_terms(self.problem, theta)
-            deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
+            deviance = misfit_square(self.problem, theta)
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
@@ -154,6 +154,14 @@ class Identification:
             misfit=(*misfit, *bounds),
         )
         return check_fit(fitted, others)
+
+    def conditional_at(self, theta: Array, threshold: float) -> tuple[Finding, ...]:
+        """Whether data and priors of nuisances reject the best fit; none of an estimated noise."""
+        if self.degrees_of_freedom is not None:
+            return ()
+        asked = int(self.problem.parameters.is_of_interest.sum())
+        square, n = misfit_square(self.problem, theta), int(self.laxity.is_measured.sum())
+        return conditional_findings(square, n, asked, threshold=threshold)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain."""

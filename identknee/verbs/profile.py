@@ -1,12 +1,14 @@
 """Which values of each parameter, or of any prediction, the data allow."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Unpack
 
 import numpy as np
 from typing_extensions import override
 
+from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import ParameterQuantity, Quantity, RestrictedQuantity
 from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profile import profile_quantities
@@ -22,6 +24,7 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import force_names, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.findings import Doubt, Finding, without_repeats
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
@@ -66,6 +69,14 @@ class Profiles(Answer):
     def optimum_by_name(self) -> dict[str, float]:
         """Theta of the best fit by parameter."""
         return dict(zip(self.parameter_names, self.optimum.tolist(), strict=True))
+
+    @property
+    @derived(
+        "Whether the model leaves more misfit than the noise (p < 0.05): nothing is then known"
+    )
+    def conditional_on_misfit(self) -> bool:
+        """Whether data and priors of nuisances reject the best fit."""
+        return any(x.conditional_on_misfit for x in self.profiles)
 
     @property
     @override
@@ -204,6 +215,16 @@ def profile(
         thresholds=thresholds,
     )
     best = min(profiles, key=lambda x: x.deviance)
+    findings = _findings(setup, best, fits, threshold)
+    doubts = {x.kind.doubt for x in findings}
+    profiles = tuple(
+        replace(
+            x,
+            conditional_on_misfit=Doubt.MISFIT in doubts,
+            at_implausible_fit=Doubt.IMPLAUSIBLE in doubts,
+        )
+        for x in profiles
+    )
     names = setup.problem.parameters.names
     return Profiles(
         parameters={x.name: x for x in profiles if x.name in names},
@@ -226,8 +247,19 @@ def profile(
         degrees_of_freedom=setup.degrees_of_freedom,
         assumptions=setup.assumptions,
         **setup.uncertain_at(best.optimum),
-        findings=setup.findings_at(best.optimum, best.deviance, fits),
+        findings=findings,
     )
+
+
+def _findings(
+    setup: Identification, best: Profile, fits: Sequence[Fit], threshold: float
+) -> tuple[Finding, ...]:
+    """What speaks against the best fit; of a rejected one that its intervals are conditional."""
+    conditional = setup.conditional_at(best.optimum, threshold)
+    found = setup.findings_at(best.optimum, best.deviance, fits)
+    # What is improbable at 0.001 is rejected at 0.05, and said once.
+    others = [x for x in found if not (conditional and x.code == "misfit-improbable")]
+    return without_repeats((*conditional, *others))
 
 
 def _parameters(setup: Identification, chosen: Sequence[str] | None) -> list[Quantity]:

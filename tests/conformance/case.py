@@ -77,9 +77,10 @@ class Case:
         still rises at the bound), ``"open_flat"`` (it does not) or ``"open_at_feasibility"`` (the
         model ends before the deviance has risen).
     verdict
-        ``"identifiable"`` (both ends closed), ``"one_sided"``, ``"practically_nonidentifiable"``
-        (both open), ``"structurally_suspect"`` (and the data do not depend on the quantity), or
-        ``"multimodal"`` (more than one interval).
+        Words that are right: ``"identifiable"`` (both ends closed), ``"bounded_by_assumption"`` (a
+        closed end hangs on the bound of another parameter), ``"one_sided"``,
+        ``"practically_nonidentifiable"`` (both open), ``"structurally_suspect"`` (and the data do
+        not depend on the quantity), or ``"multimodal"`` (more than one interval).
     level
         Confidence level.
     accuracy
@@ -95,7 +96,7 @@ class Case:
     intervals: Intervals
     lower: frozenset[str]
     upper: frozenset[str]
-    verdict: str
+    verdict: frozenset[str]
     level: float = 0.95
     accuracy: float = 1e-3
 

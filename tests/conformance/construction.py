@@ -48,8 +48,8 @@ def case(
     """A case about the first parameter, with the plainest of verdicts that its ends allow.
 
     An open end is expected to be `AT_BOUND` and a finite one `CLOSED`; `others` are attributes of
-    the case that are to be different from that. Words for an end may be given as one string with
-    ``" or "`` between them.
+    the case that are to be different from that. Words for an end or the verdict may be given as
+    one string with ``" or "`` between them.
     """
     parameters = problem.parameters
     ends = intervals[0][0], intervals[-1][1]
@@ -62,8 +62,8 @@ def case(
         "verdict": "multimodal" if len(intervals) > 1 else VERDICTS[n_open],
     }
     settings.update(others)
-    for side in ("lower", "upper"):
-        settings[side] = frozenset(str(settings[side]).split(" or "))
+    for words in ("lower", "upper", "verdict"):
+        settings[words] = frozenset(str(settings[words]).split(" or "))
     return Case(
         name=name,
         about=about,

@@ -156,7 +156,7 @@ def _word_faults(case: Case, answer: Answer) -> list[str]:
     wanted = {
         "lower end": (answer.lower, case.lower),
         "upper end": (answer.upper, case.upper),
-        "verdict": (answer.verdict, {case.verdict}),
+        "verdict": (answer.verdict, case.verdict),
     }
     return [
         f"{what} {word} instead of {' or '.join(sorted(right))}"

@@ -20,6 +20,7 @@ MODULES = {
     "information": "verify_information",
     "conformance": "verify_conformance",
     "profile_ends": "verify_profile_ends",
+    "ends_on_bounds": "verify_ends_on_bounds",
     "coverage": "verify_coverage",
     "edge_coverage": "verify_edge_coverage",
     "sbc": "verify_sbc",

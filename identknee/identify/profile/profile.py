@@ -26,7 +26,10 @@ from identknee.calibrate.problem import (
     typical_steps,
     value_at,
 )
+from identknee.identify.profile.origins import MOVED, ClosedEnd, OriginFinder
 from identknee.identify.profile.result import (
+    EndOrigin,
+    Interval,
     Profile,
     ProfileVerdict,
     Side,
@@ -330,6 +333,7 @@ UNDECIDED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
 
 def assembled(
     walk: ProfileContext,
+    problem: Problem,
     branches: Sequence[Branch],
     *,
     level: float,
@@ -342,6 +346,8 @@ def assembled(
     ----------
     walk
         The quantity and the threshold.
+    problem
+        The problem whose profile it is.
     branches
         That of the optimum first.
     level
@@ -364,7 +370,11 @@ def assembled(
                 continue
         merged.append((high, lower, upper))
     intervals = tuple((lower.end, upper.end) for _, lower, upper in merged)
-    sides = (merged[0][1], merged[-1][2])
+    finder = OriginFinder(walk, problem, origin.evaluation)
+    sides = (
+        _with_origin(finder, branches, merged[0][1], intervals[0], -1),
+        _with_origin(finder, branches, merged[-1][2], intervals[-1], 1),
+    )
     # Points from low to high values with their branch, without those above another branch.
     kept: list[tuple[ProfilePoint, int]] = []
     for i, branch in enumerate(branches):
@@ -376,15 +386,17 @@ def assembled(
     kept.sort(key=lambda x: x[0].value)
     places = [x[0].value for x in kept]
     curve = [x for i, x in enumerate(kept) if i == 0 or places[i] > places[i - 1]]
-    n_closed = sum(x.status is SideStatus.CLOSED for x in sides)
+    closed = [x for x in sides if x.status is SideStatus.CLOSED]
     is_flat = all(x.max_deviance <= FLAT * walk.threshold for x in sides)
     verdict = ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE
     if len(intervals) > 1:
         verdict = ProfileVerdict.MULTIMODAL
-    elif any(x.status in UNDECIDED for x in sides):
+    elif any(x.status in UNDECIDED for x in sides) or any(x.made_by is None for x in closed):
         verdict = ProfileVerdict.UNDETERMINED
-    elif n_closed > 0:
-        verdict = (ProfileVerdict.ONE_SIDED, ProfileVerdict.IDENTIFIABLE)[n_closed - 1]
+    elif any(x.made_by is not EndOrigin.DATA for x in closed):
+        verdict = ProfileVerdict.BOUNDED_BY_ASSUMPTION
+    elif closed:
+        verdict = (ProfileVerdict.ONE_SIDED, ProfileVerdict.IDENTIFIABLE)[len(closed) - 1]
     elif is_flat and _is_structurally_flat(walk, origin):
         verdict = ProfileVerdict.STRUCTURALLY_SUSPECT
     return Profile(
@@ -405,10 +417,34 @@ def assembled(
         upper_side=sides[1],
         verdict=verdict,
         practical_level=min(_level(x, level, walk.threshold) for x in sides),
-        n_simulations=walk.evaluator.n_simulations,
+        n_simulations=walk.evaluator.n_simulations + finder.n_simulations,
         better_optimum=better_optimum,
         n_restarts=n_restarts,
     )
+
+
+def _with_origin(
+    finder: OriginFinder,
+    branches: Sequence[Branch],
+    side: Side,
+    interval: Interval,
+    direction: int,
+) -> Side:
+    """The side with what makes its end; itself where it is open."""
+    if side.end is None:
+        return side
+    branch = next(x for x in branches if side in (x.lower.side, x.upper.side))
+    low, high = interval
+    width = abs(side.end - branch.origin.value) if low is None or high is None else high - low
+    end = ClosedEnd(
+        side=side,
+        value=side.end,
+        direction=direction,
+        width=width,
+        nearest=branch.nearest(side.end),
+        inside=branch.nearest(side.end - direction * MOVED * width),
+    )
+    return finder.side(end)
 
 
 def _reach(side: Side, beyond: float) -> float:
@@ -533,6 +569,7 @@ def profile(
     if budget < 1:
         raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
     run = _Run(
+        problem=problem,
         evaluator=Evaluator(problem, budget=budget),
         quantity=quantity,
         level=level,
@@ -563,6 +600,7 @@ def polish_optimum(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Run:
+    problem: Problem
     evaluator: Evaluator
     quantity: Quantity
     level: float
@@ -585,6 +623,7 @@ class _Run:
                 continue
             return assembled(
                 walk,
+                self.problem,
                 branches,
                 level=self.level,
                 better_optimum=optimum.theta if n_restarts else None,

@@ -18,6 +18,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
+from identknee.runs.findings import Doubt
 from identknee.runs.store import Store, resumable_map
 
 NewData = Callable[[np.random.SeedSequence], Problem]
@@ -355,10 +356,22 @@ class SideStatus(Enum):
 
 
 @unique
+class EndOrigin(Enum):
+    """What makes an end of a profile; the value is the word written to files."""
+
+    DATA = "data"
+    PRIOR = "prior"
+    BOUND = "bound"
+    OWN_BOUND = "own_bound"
+    FEASIBILITY = "feasibility"
+
+
+@unique
 class ProfileVerdict(Enum):
     """What the profile says about the quantity; the value is the word written to files."""
 
     IDENTIFIABLE = "identifiable"
+    BOUNDED_BY_ASSUMPTION = "bounded_by_assumption"
     ONE_SIDED = "one_sided"
     PRACTICALLY_NONIDENTIFIABLE = "practically_nonidentifiable"
     STRUCTURALLY_SUSPECT = "structurally_suspect"
@@ -384,6 +397,10 @@ _SIDES = {
 }
 _VERDICTS = {
     ProfileVerdict.IDENTIFIABLE: "The data bound the value on both sides.",
+    ProfileVerdict.BOUNDED_BY_ASSUMPTION: (
+        "The data alone do not make this set: an end of it hangs on a prior or on the bound of "
+        "another parameter."
+    ),
     ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
     ProfileVerdict.STRUCTURALLY_SUSPECT: (
@@ -417,11 +434,37 @@ class Side:
     at_bounds: tuple[str, ...] = entry(
         "Other parameters that sit on a bound there: the end is then a statement about the box too"
     )
+    made_by: EndOrigin | None = entry(
+        "What makes the end: data; prior, where more than half of the rise of the deviance from "
+        "the best fit to the end is that of priors; bound, where it moves by more than a tenth of "
+        "the interval once the bounds of other parameters have twice their room; null where "
+        "nothing was found to",
+        default=None,
+    )
+    bound_of: str | None = entry(
+        "The other parameter on whose bound the end hangs; of several the one that moves it most",
+        default=None,
+    )
 
     @property
-    @derived("What the status means")
+    @derived("What makes the end, in a word or with the name of the parameter: bound of NAME")
+    def origin(self) -> str | None:
+        """What makes the end; None where nothing was found to."""
+        if self.bound_of is not None:
+            return f"bound of {self.bound_of}"
+        return None if self.made_by is None else self.made_by.value
+
+    @property
+    @derived("What status and origin mean")
     def sentence(self) -> str:
-        """What the status means, as a full sentence."""
+        """What status and origin mean, as a full sentence."""
+        if self.bound_of is not None:
+            return (
+                f"This end hangs on the bound of {self.bound_of}: with twice its room the end "
+                "moves by more than a tenth of the interval."
+            )
+        if self.made_by is EndOrigin.PRIOR:
+            return "More than half of what excludes the values beyond this end is priors, not data."
         return self.status.sentence
 
 
@@ -448,6 +491,14 @@ class Profile:
     deviance: float = entry("Deviance of the best fit", unit="1")
     n_simulations: int = entry("Simulations made, each with its Jacobian", unit="1")
     n_restarts: int = entry("How often the profile started over from a better fit", unit="1")
+    conditional_on_misfit: bool = entry(
+        "Whether the model leaves more misfit than the noise (p < 0.05): all ends then hold only "
+        "as far as that misfit does not matter",
+        default=False,
+    )
+    at_implausible_fit: bool = entry(
+        "Whether forces, strains or contact of the best fit are those of no knee", default=False
+    )
     optimum: Array = array("Theta of the best fit", "parameter", unit=OF_PARAMETER)
     better_optimum: Array | None = array(
         "A better fit than the one given, where the profile met one and started over from it",
@@ -504,10 +555,52 @@ class Profile:
         return self.upper_side.status
 
     @property
+    @derived("What makes the lower end")
+    def lower_origin(self) -> str | None:
+        """What makes the lower end; None where nothing was found to."""
+        return self.lower_side.origin
+
+    @property
+    @derived("What makes the upper end")
+    def upper_origin(self) -> str | None:
+        """What makes the upper end; None where nothing was found to."""
+        return self.upper_side.origin
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why nothing is known whatever the ends; None at a sound fit."""
+        if self.conditional_on_misfit:
+            return Doubt.MISFIT
+        return Doubt.IMPLAUSIBLE if self.at_implausible_fit else None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the data make both ends, at a fit that is neither rejected nor implausible."""
+        return self.verdict is ProfileVerdict.IDENTIFIABLE and self.doubt is None
+
+    @property
+    def verdict_words(self) -> str:
+        """The verdict in words, with what makes it doubtful."""
+        words = self.verdict.value.replace("_", " ")
+        return words if self.doubt is None else f"{words}, {self.doubt.value}"
+
+    @property
     @derived("What the verdict means")
     def sentence(self) -> str:
-        """What the verdict means, as a full sentence."""
-        return self.verdict.sentence
+        """What the verdict means, as full sentences that name what an end hangs on."""
+        ends = (("lower", self.lower_side), ("upper", self.upper_side))
+        said = [
+            f"The {which} end hangs on the bound of {side.bound_of}."
+            for which, side in ends
+            if side.bound_of is not None
+        ]
+        said += [
+            f"Priors make most of the {which} end."
+            for which, side in ends
+            if side.made_by is EndOrigin.PRIOR
+        ]
+        said += [] if self.doubt is None else [f"That is {self.doubt.value}."]
+        return " ".join([self.verdict.sentence, *said])
 
     @property
     @derived("Points of the curve", unit="1")
@@ -549,7 +642,7 @@ class Profile:
         unit = f" {self.unit}" if self.unit else ""
         return (
             f"{self.name}: {self.optimum_value:.6g}{unit}, {self.level:.0%} set {parts}. "
-            f"{self.verdict.sentence}"
+            f"{self.sentence}"
         )
 
 

@@ -22,7 +22,7 @@ from identknee.calibrate.problem import (
     conditional_sds,
     thin_svd,
 )
-from identknee.identify.profile.result import Side, SideStatus, crossings
+from identknee.identify.profile.result import EndOrigin, Side, SideStatus, crossings
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.record import Outcome
 
@@ -370,6 +370,8 @@ CLOSE, SLOPE_ERROR = 2e-3, 0.1
 END_TOLERANCE = 1e-4
 GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
+# Of a bound: what is nearer to it stands on it.
+ROUNDING = 1e-13
 # Of the threshold: what a flat side may still rise by going as far again.
 FLAT = 1e-2
 # An unbounded side is flat where it is over so many first steps.
@@ -386,6 +388,13 @@ MOST_DETOURS = 6
 # Of the threshold: a fit stopped at the boundary excludes its value where the rise stays above this
 # after the predicted reduction.
 ENOUGH = 0.9
+
+
+# What makes an open end; what makes a closed one is found out when all paths are known.
+OPEN_ENDS = {
+    SideStatus.OPEN_AT_BOUND: EndOrigin.OWN_BOUND,
+    SideStatus.OPEN_AT_FEASIBILITY: EndOrigin.FEASIBILITY,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -623,7 +632,8 @@ class _March:
 
     def _ended(self) -> Side | None:
         at, outside = self._inside, self._outside
-        if at.value == self._bound:
+        # From a value a rounding error before the bound no step leads to it.
+        if abs(self._bound - at.value) <= ROUNDING * abs(self._bound) < np.inf:
             return self._at_bound()
         if outside is not None and self._is_excluded_by_feasibility(outside):
             return self._open(SideStatus.OPEN_AT_FEASIBILITY)
@@ -700,4 +710,5 @@ class _March:
             reached=point.value,
             max_deviance=max(self._walk.delta(x) for x in self._points),
             at_bounds=tuple(x for x in names if x != self._walk.quantity.name),
+            made_by=OPEN_ENDS.get(status),
         )

@@ -5,7 +5,13 @@ from dataclasses import replace
 
 from typing_extensions import override
 
-from identknee.identify.profile.result import Profile, ProfileVerdict, Side, SideStatus
+from identknee.identify.profile.result import (
+    EndOrigin,
+    Profile,
+    ProfileVerdict,
+    Side,
+    SideStatus,
+)
 from identknee.report.presenter import (
     Drawing,
     Presenter,
@@ -22,6 +28,7 @@ from identknee.runs.words import (
     capitalised,
     contact_words,
     label,
+    label_without_unit,
     listed,
     owner_words,
     parameter_words,
@@ -34,6 +41,7 @@ STIFFNESS = "stiffness_kN"
 MOST_NAMED = 5
 PROFILE_WORDS = {
     ProfileVerdict.IDENTIFIABLE: "known",
+    ProfileVerdict.BOUNDED_BY_ASSUMPTION: "bounded by assumption",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "not known",
     ProfileVerdict.STRUCTURALLY_SUSPECT: "not known",
     ProfileVerdict.MULTIMODAL: "several ranges",
@@ -92,16 +100,44 @@ def quantity_clause(profile: Profile) -> str:
         return "is undecided, because a limit was not fully computed"
     if low == high == 0.0 and profile.unit == "N":
         return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
+    hangs = _assumptions(profile)
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
-        return f"is known to within ±{half} ({amount(low, '')} to {amount(high, unit)})"
+        said = "is known to within" if profile.is_known else "lies within"
+        doubt = "" if profile.doubt is None else f", {profile.doubt.value}"
+        ends = f"{amount(low, '')} to {amount(high, unit)}"
+        return f"{said} ±{half} ({ends}{hangs}){doubt}"
     if low is not None:
-        return f"has no upper limit (at least {amount(low, unit)}{_feasibility_limits(profile)})"
+        limits = f"{hangs}{_feasibility_limits(profile)}"
+        return f"has no upper limit (at least {amount(low, unit)}{limits})"
     if high is not None:
-        return f"has no lower limit (at most {amount(high, unit)}{_feasibility_limits(profile)})"
+        limits = f"{hangs}{_feasibility_limits(profile)}"
+        return f"has no lower limit (at most {amount(high, unit)}{limits})"
     if profile.verdict is ProfileVerdict.STRUCTURALLY_SUSPECT:
         return "is not identifiable, and more data of this kind may not help"
     return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
+
+
+def _assumptions(profile: Profile) -> str:
+    """Which ends hang on bounds of other parameters or on priors; empty where data make both."""
+    said = []
+    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
+        if side.bound_of is not None:
+            said.append(f"the {which} end hangs on the bound of {parameter_words(side.bound_of)}")
+        elif side.made_by is EndOrigin.PRIOR:
+            said.append(f"the {which} end is made by priors")
+    return f"; {listed(said)}" if said else ""
+
+
+def _assumed_ends(profile: Profile) -> str:
+    """The same for a table."""
+    said = []
+    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
+        if side.bound_of is not None:
+            said.append(f"{which}: bound of {label_without_unit(side.bound_of)}")
+        elif side.made_by is EndOrigin.PRIOR:
+            said.append(f"{which}: prior")
+    return ", ".join(said)
 
 
 def _feasibility_limits(profile: Profile) -> str:
@@ -123,17 +159,25 @@ def _width(profile: Profile) -> float:
 
 def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
     n, level = len(profiles), 100 * profiles[0].level
-    k = sum(x.lower is not None and x.upper is not None for x in profiles)
-    said = "ligament parameters on both sides"
+    k = sum(
+        x.lower is not None
+        and x.upper is not None
+        and x.verdict is not ProfileVerdict.BOUNDED_BY_ASSUMPTION
+        for x in profiles
+    )
+    doubt = next((f", {x.doubt.value}" for x in profiles if x.doubt is not None), "")
+    said = f"ligament parameters on both sides{doubt}"
     if n == 1:
         bound = "bound" if k else "do not bound"
         name = parameter_words(profiles[0].name)
-        return f"at {level:g} % confidence the data {bound} {name} on both sides."
+        return f"at {level:g} % confidence the data {bound} {name} on both sides{doubt}."
     which = ("both" if n == 2 else f"all {n}") if k == n else f"{k or 'none'} of the {n}"
     return f"at {level:g} % confidence the data bound {which} {said}."
 
 
 def _table(profiles: Sequence[Profile], title: str) -> Table:
+    assumed = [_assumed_ends(x) for x in profiles]
+    more = ("ends not made by data",) if any(assumed) else ()
     return table(
         title,
         (
@@ -142,6 +186,7 @@ def _table(profiles: Sequence[Profile], title: str) -> Table:
             ("best", None),
             ("upper end", None),
             "verdict",
+            *more,
             "simulations",
         ),
         (
@@ -150,10 +195,11 @@ def _table(profiles: Sequence[Profile], title: str) -> Table:
                 _end(x.lower_side),
                 x.optimum_value,
                 _end(x.upper_side),
-                x.verdict.value.replace("_", " "),
+                x.verdict_words,
+                *(words for _ in more),
                 x.n_simulations,
             )
-            for x in profiles
+            for x, words in zip(profiles, assumed, strict=True)
         ),
     )
 
@@ -175,8 +221,7 @@ def profile_drawings(
 
     names = listed(label(x.name) for x in profiles)
     ends = "; ".join(
-        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, "
-        f"{x.verdict.value.replace('_', ' ')}"
+        f"{label(x.name)} {_end_words(x.lower)} to {_end_words(x.upper)}, {x.verdict_words}"
         for x in profiles
     )
     yield Drawing(
@@ -208,12 +253,15 @@ def _end_words(value: float | None) -> str:
 
 def profile_range(profile: Profile) -> Range:
     """What a profile says of its quantity."""
+    status = PROFILE_WORDS.get(profile.verdict) or open_ends_text(profile.lower, profile.upper)
+    if profile.doubt is not None and profile.verdict is ProfileVerdict.IDENTIFIABLE:
+        status = profile.doubt.value
     return Range(
         source=Source.PROFILE,
         low=profile.lower,
         high=profile.upper,
         value=profile.optimum_value,
-        status=PROFILE_WORDS.get(profile.verdict) or open_ends_text(profile.lower, profile.upper),
+        status=status,
     )
 
 

@@ -101,7 +101,10 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     main = overview([x.answer for x in findings.of_main_data])
     said = _sourced_statements(merged.results)
     cautions = merge_duplicate_warnings(
-        (x.warning, source) for x, source in said if x.warning is not None
+        (warning, source)
+        for x, source in said
+        if x.warning is not None
+        for warning in main.opening.without([x.warning])
     )
     # All errors stand in the open, and as many warnings as leave the table on the first screens;
     # one more takes no more room than the words that would hide it.

@@ -6,7 +6,9 @@ from scipy import stats
 
 from identknee.checks.fit_checks import (
     bound_findings,
+    conditional_findings,
     misfit_findings,
+    misfit_probability,
     parameters_at_zero,
     start_findings,
     too_few_findings,
@@ -14,7 +16,14 @@ from identknee.checks.fit_checks import (
 )
 from identknee.checks.table_checks import IMPROBABLE
 from identknee.model.parameters import Parameters
-from identknee.runs.findings import Severity, by_severity, finding_lines
+from identknee.runs.findings import (
+    Doubt,
+    Severity,
+    by_severity,
+    doubt_of,
+    finding,
+    finding_lines,
+)
 from identknee.runs.schema import summary_of
 
 NAMES = ("ACL.stiffness_kN", "PCL.stiffness_kN", "ACL.reference_strain_pct")
@@ -43,6 +52,31 @@ def test_a_misfit_is_judged_by_the_chi_square_of_what_is_left() -> None:
     (gross,) = misfit_findings(9.1 * 90, 100, 10)
     assert (gross.code, gross.severity) == ("misfit-gross", Severity.ERROR)
     assert gross.values["ratio"] == pytest.approx(9.1)
+
+
+def test_intervals_are_conditional_where_one_fit_in_twenty_would_leave_so_much() -> None:
+    limit = float(stats.chi2.isf(0.05, 90))
+    assert conditional_findings(0.999 * limit, 100, 10, threshold=3.84) == ()
+    (found,) = conditional_findings(1.001 * limit, 100, 10, threshold=3.84)
+    assert found.code == "conditional-on-misfit"
+    assert found.kind.doubt is Doubt.MISFIT
+    assert found.values["n"] == 100
+    assert found.values["deviance"] == 1.001 * limit
+    assert found.values["p"] == pytest.approx(stats.chi2.sf(1.001 * limit, 90))
+    assert found.values["threshold"] == 3.84
+    assert misfit_probability(1e6, 8, 8) == misfit_probability(np.inf, 100, 8) == 1.0
+
+
+def test_the_gravest_doubt_of_findings_is_theirs() -> None:
+    (misfit,) = conditional_findings(1e3, 100, 10, threshold=3.84)
+    contact = finding(
+        "one-sided-contact",
+        "contact",
+        {"medial_N": 1, "lateral_N": 2, "compression_N": 3, "n_trials": 4, "source": "x"},
+    )
+    assert doubt_of([contact, misfit]) is Doubt.MISFIT
+    assert doubt_of([contact]) is Doubt.IMPLAUSIBLE
+    assert doubt_of([finding("no-loads", "data")]) is None
 
 
 def test_what_cannot_be_judged_is_not() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import xarray
 from cli_runs import refused, run
+from scipy.stats import chi2
 
 import identknee as ik
 from identknee.subject.knee import LigamentGroup
@@ -103,6 +104,34 @@ def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path)
     assert _summary(tmp_path)["parameters"] == first
     assert run(*words, "--level", "0.9").exit_code == 0
     assert _summary(tmp_path)["parameters"] != first
+
+
+def test_at_a_rejected_fit_nothing_is_known(noisy: Path, tmp_path: Path) -> None:
+    """The noise is stated to half of what it is; as it is, nothing is conditional."""
+    words = ("profile", "reference", noisy, *TWO, *HELD)
+    result = run(*words, "--noise", "0.25mm,0.25deg", "--out", tmp_path / "half")
+    summary = _summary(tmp_path / "half")
+    assert summary["conditional_on_misfit"] is True
+    (found,) = [x for x in summary["findings"] if x["code"] == "conditional-on-misfit"]
+    n = int(ik.read_laxity(noisy).is_measured.sum())
+    assert found["values"]["n"] == n
+    assert found["values"]["deviance"] == pytest.approx(summary["deviance"])
+    assert found["values"]["p"] == pytest.approx(chi2.sf(summary["deviance"], n - 2))
+    assert "misfit-improbable" not in {x["code"] for x in summary["findings"]}
+    for entry in summary["parameters"].values():
+        assert entry["verdict"] == "identifiable"
+        assert entry["conditional_on_misfit"] is True
+        assert entry["lower_side"]["origin"] == entry["upper_origin"] == "data"
+    # It opens with the numbers and the command that comes next.
+    first = " ".join(result.stdout.split()).partition("At 95 %")[0]
+    assert f"{found['values']['deviance']:.4g}" in first
+    assert f"identknee diagnose reference {noisy} --noise 0.25mm,0.25deg" in first
+    assert " known" not in result.stdout.replace("no value is known", "")
+
+    run(*words, "--out", tmp_path / "whole")
+    whole = _summary(tmp_path / "whole")
+    assert whole["conditional_on_misfit"] is False
+    assert [x["conditional_on_misfit"] for x in whole["parameters"].values()] == [False, False]
 
 
 @pytest.mark.parametrize(

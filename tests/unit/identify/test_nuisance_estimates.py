@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import with_all_priors, with_nuisance_priors, without_priors
+from identknee.calibrate.problem import (
+    misfit_square,
+    n_prior_rows,
+    with_all_priors,
+    with_nuisance_priors,
+    without_priors,
+)
 from identknee.checks.fit_checks import nuisance_findings
 from identknee.identify.optimum import nuisance_estimates, nuisance_groups
 from identknee.model.parameters import Parameters
@@ -62,6 +68,19 @@ def test_priors_are_added_once(problem: Linear) -> None:
     assert whole.residuals(theta).size == 12 + 4
     assert with_nuisance_priors(problem).residuals(theta).size == 12 + 2
     assert without_priors(with_nuisance_priors(problem)) is problem
+
+
+def test_a_misfit_counts_data_and_nuisances_and_no_other_priors(problem: Linear) -> None:
+    theta = np.array([1.5, -0.5, 3.0, 0.2])
+    stated = with_nuisance_priors(problem)
+    whole = with_all_priors(problem)
+    expected = float(np.sum(stated.residuals(theta) ** 2))
+    assert misfit_square(stated, theta) == pytest.approx(expected)
+    assert misfit_square(whole, theta) == pytest.approx(expected)
+    assert float(np.sum(whole.residuals(theta) ** 2)) > expected + 0.1
+    data = float(np.sum(problem.residuals(theta) ** 2))
+    assert misfit_square(problem, theta) == pytest.approx(data)
+    assert [n_prior_rows(x) for x in (problem, stated, whole)] == [0, 2, 4]
 
 
 def test_estimates_have_the_covariance_of_data_and_prior(problem: Linear) -> None:

@@ -9,8 +9,16 @@ from golden_texts import Golden
 from report_folders import straight_profiles, write_given
 
 from identknee.diagnosis.candidates import Detectability
-from identknee.identify.profile.result import Interval, Profile, ProfileVerdict, Side, SideStatus
-from identknee.report.answers.profile import parameter_statements
+from identknee.identify.profile.result import (
+    EndOrigin,
+    Interval,
+    Profile,
+    ProfileVerdict,
+    Side,
+    SideStatus,
+)
+from identknee.report.answers.profile import parameter_statements, profile_range
+from identknee.report.overview import KNOWN
 from identknee.report.page.page import report_html, warnings
 from identknee.report.page.results import found_results
 from identknee.report.presenter import Question, statements_of
@@ -65,8 +73,27 @@ def profile(
     )
 
 
+def on_bound(of: str) -> Profile:
+    """Known on both sides but for another parameter's bound above."""
+    made = profile("ACL.stiffness_kN", (8.8, 25.8), ProfileVerdict.BOUNDED_BY_ASSUMPTION)
+    low = replace(made.lower_side, made_by=EndOrigin.DATA)
+    high = replace(made.upper_side, made_by=EndOrigin.BOUND, bound_of=of)
+    return replace(made, lower_side=low, upper_side=high)
+
+
 def said_of(*profiles: Profile) -> list[str]:
     return [x.sentence for x in parameter_statements(profiles)]
+
+
+def test_an_end_on_the_bound_of_another_is_said_to_be(golden: Golden) -> None:
+    found = on_bound("PCL.stiffness_kN")
+    (statement,) = parameter_statements([found])
+    (table,) = statement.tables
+    golden("said/end-on-a-bound", f"{statement.sentence}\n{found.sentence}\n{table}")
+    assert profile_range(found).status not in KNOWN
+    # Where data make all ends the table has no such column.
+    (known,) = parameter_statements([replace(found, upper_side=found.lower_side)])
+    assert len(known.tables[0].columns) == len(table.columns) - 1
 
 
 def test_known_and_unknown_stand_in_one_sentence(golden: Golden) -> None:

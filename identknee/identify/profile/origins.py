@@ -1,0 +1,222 @@
+"""What makes the ends of a profile: the data, a prior, or the bound of another parameter."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from identknee.calibrate.bounded_least_squares import minimise
+from identknee.calibrate.problem import (
+    Evaluation,
+    Evaluator,
+    ParameterQuantity,
+    Problem,
+    n_prior_rows,
+    sum_of_squares,
+    with_room_doubled,
+)
+from identknee.identify.profile.result import EndOrigin, Side, SideStatus
+from identknee.identify.profile.walk import AT_END, ProfileContext, ProfilePoint, march
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.record import Outcome
+
+# Of the interval: an end that moves by more hangs on what moved it.
+MOVED = 0.1
+# Of the threshold: what twice the room of a bound must promise, by its multiplier, to count.
+ACTIVE = 1e-3
+# Of the rise of the deviance: an end of which priors make more is theirs.
+MOST = 0.5
+# Of the threshold: the error of a fit that is to say whether a value is excluded.
+TOLERANCE = 1e-2
+# Bounds of which one is looked for that moves an end most, and the steps allowed for each.
+MOST_BOUNDS, MOST_STEPS = 3, 8
+NOT_COMPUTED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
+
+
+@declared
+class ClosedEnd:
+    """A closed end of a set, and the path that it lies on."""
+
+    side: Side = entry("How it ended")
+    value: float = entry("The end")
+    direction: int = entry("1 for an upper end, -1 for a lower one")
+    width: float = entry("Width of the interval that it ends")
+    nearest: ProfilePoint = entry("The point of the path nearest to it")
+    inside: ProfilePoint = entry("That nearest to the value which is a tenth of the width inside")
+
+    def beyond(self, share: float) -> float:
+        """The value so many widths of the interval beyond the end."""
+        return self.value + self.direction * share * self.width
+
+
+class OriginFinder:
+    """Finds what makes closed ends of one profile, and counts the simulations for it.
+
+    Parameters
+    ----------
+    walk
+        The quantity, the threshold and the lowest deviance.
+    problem
+        The problem whose profile it is.
+    optimum
+        The best fit.
+    """
+
+    def __init__(self, walk: ProfileContext, problem: Problem, optimum: Evaluation) -> None:
+        self._walk = walk
+        self._problem = problem
+        self._optimum = optimum
+        self.n_simulations = 0
+
+    def side(self, end: ClosedEnd) -> Side:
+        """The side with what makes its end; with nothing where that could not be computed.
+
+        An end hangs on the bounds of other parameters where such a bound is active there or at the
+        best fit and, computed again with twice the room for all parameters, the end moves by more
+        than a tenth of the interval, or is none any more. Else it hangs on priors where these make
+        more than half of the rise of the deviance from the best fit to the end.
+        """
+        at_end = self._gains(end.nearest.evaluation, end.nearest.slope)
+        at_optimum = self._gains(self._optimum, 0.0)
+        if (at_end or at_optimum) and end.width > 0.0:
+            moves = self._moves_outward(end)
+            if moves is False and at_optimum:
+                moves = self._moves_inward(end)
+            if moves is None:
+                return end.side
+            if moves:
+                name = self._strongest(end, at_end or at_optimum)
+                return replace(end.side, made_by=EndOrigin.BOUND, bound_of=name)
+        made_by = EndOrigin.PRIOR if self._is_of_priors(end) else EndOrigin.DATA
+        return replace(end.side, made_by=made_by)
+
+    def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
+        """What active bounds of other parameters promise, by their multipliers, with more room."""
+        problem, quantity = self._problem, self._walk.quantity
+        parameters = problem.parameters
+        own = quantity.name if isinstance(quantity, ParameterQuantity) else ""
+        _, gradient = quantity.evaluate(at.theta)
+        force = at.gradient - slope * np.where(np.isfinite(gradient), gradient, 0.0)
+        wider = with_room_doubled(problem, parameters.names).parameters
+        found = {}
+        for i, name in enumerate(parameters.names):
+            room = 0.0
+            if at.theta[i] <= parameters.lower[i] and force[i] > 0.0:
+                room = parameters.lower[i] - wider.lower[i]
+            elif at.theta[i] >= parameters.upper[i] and force[i] < 0.0:
+                room = wider.upper[i] - parameters.upper[i]
+            gain = float(abs(force[i]) * room)
+            if name != own and gain > ACTIVE * self._walk.threshold:
+                found[name] = gain
+        return found
+
+    def _moves_outward(self, end: ClosedEnd) -> bool | None:
+        """Whether the end lies farther out with twice the room, up to the quantity's own bounds.
+
+        The fit at the end is begun from there, and from the middle of the prior too: a bound may
+        bar the way to sets in which the parameters exchange their roles.
+        """
+        walk = self._with_room(self._problem.parameters.names)
+        low, high = self._walk.limits
+        limits = (max(low, end.beyond(MOVED)), high)
+        if end.direction > 0:
+            limits = (low, min(high, end.beyond(MOVED)))
+        moves: bool | None = False
+        for is_own, start in (
+            (True, end.nearest.evaluation.theta),
+            (False, self._problem.parameters.center),
+        ):
+            point = self._fit(walk, end, start, is_own=is_own)
+            if point is None:
+                moves = None
+                break
+            if walk.delta(point) < (1.0 - TOLERANCE) * walk.threshold:
+                walk.limits = limits
+                status = march(walk, point, end.direction).side.status
+                if status in NOT_COMPUTED:
+                    moves = None
+                elif status is not SideStatus.CLOSED:
+                    moves = True
+                    break
+            elif is_own and not walk.is_settled(point):
+                moves = None
+        self.n_simulations += walk.evaluator.n_simulations
+        return moves
+
+    def _fit(
+        self, walk: ProfileContext, end: ClosedEnd, start: Array, *, is_own: bool
+    ) -> ProfilePoint | None:
+        """The fit at an end with other bounds; None where the budget was used up before.
+
+        Where it is begun at the end's own parameters and the feasibility boundary of the model
+        stops it, it is begun again from around them.
+        """
+        at, tolerance = end.nearest.evaluation, TOLERANCE * walk.threshold
+        solved = walk.solve(end.value, start, tolerance=tolerance)
+        if solved.outcome is Outcome.BUDGET:
+            return None
+        point = walk.point(solved)
+        is_excluded = walk.delta(point) > (1.0 - TOLERANCE) * walk.threshold
+        if is_own and is_excluded and not walk.is_settled(point):
+            around = walk.solve_around(end.value, at, tolerance=tolerance)
+            if around is not None and around.evaluation.deviance < solved.evaluation.deviance:
+                return walk.point(around)
+        return point
+
+    def _moves_inward(self, end: ClosedEnd) -> bool | None:
+        """Whether a lower best fit, with twice the room, excludes values well inside the end."""
+        walk = self._with_room(self._problem.parameters.names)
+        value = end.beyond(-MOVED)
+        moves: bool | None = False
+        if walk.lowest < self._walk.lowest - AT_END * walk.threshold:
+            start = walk.start(value, end.inside, None)
+            solved = walk.solve(value, start, tolerance=TOLERANCE * walk.threshold)
+            rise = solved.evaluation.deviance - walk.lowest
+            moves = None if solved.outcome is Outcome.BUDGET else rise > walk.threshold
+        self.n_simulations += walk.evaluator.n_simulations
+        return moves
+
+    def _strongest(self, end: ClosedEnd, gains: dict[str, float]) -> str:
+        """The active bound that alone lowers the deviance at the end most."""
+        names = sorted(gains, key=gains.__getitem__, reverse=True)[:MOST_BOUNDS]
+        if len(names) == 1:
+            return names[0]
+        rises = []
+        for name in names:
+            walk = self._with_room((name,))
+            solved = walk.solve(
+                end.value,
+                end.nearest.evaluation.theta,
+                tolerance=TOLERANCE * walk.threshold,
+                most_steps=MOST_STEPS,
+            )
+            rises.append(solved.evaluation.deviance - walk.lowest)
+            self.n_simulations += walk.evaluator.n_simulations
+        return names[int(np.argmin(rises))]
+
+    def _with_room(self, names: tuple[str, ...]) -> ProfileContext:
+        """The profile with twice the room for some parameters, from its own lowest deviance."""
+        walk = self._walk
+        budget = walk.evaluator.budget
+        if budget is not None:
+            budget = max(budget - walk.evaluator.n_simulations - self.n_simulations, 0)
+        evaluator = Evaluator(with_room_doubled(self._problem, names), budget=budget)
+        wider = ProfileContext(evaluator, walk.quantity, walk.threshold, self._optimum)
+        wider.is_final = True
+        wider.lowest = walk.lowest
+        if any(x in names for x in self._gains(self._optimum, 0.0)):
+            tolerance = TOLERANCE * walk.threshold
+            wider.note(minimise(evaluator, self._optimum.theta, tolerance=tolerance).evaluation)
+        return wider
+
+    def _is_of_priors(self, end: ClosedEnd) -> bool:
+        n = n_prior_rows(self._problem)
+        if not n:
+            return False
+        at, best = end.nearest.evaluation, self._optimum
+        whole = at.deviance - best.deviance
+        return bool(_of_last(at.residuals, n) - _of_last(best.residuals, n) > MOST * whole > 0.0)
+
+
+def _of_last(residuals: Array, n: int) -> float:
+    return sum_of_squares(residuals[-n:])

@@ -1,0 +1,75 @@
+"""What results open with where their fit is rejected or implausible: why, and what to do next."""
+
+import shlex
+from collections.abc import Iterable
+from dataclasses import replace
+
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import RANKS, Doubt, Finding, Severity
+from identknee.runs.record import Record
+from identknee.verbs.answer import Answer
+
+NEXT, GIVEN = "diagnose", ("uncertain", "noise")
+
+
+@declared
+class Opening:
+    """The sentences before everything else; none at a sound fit."""
+
+    sentences: tuple[str, ...] = entry("With their numbers, and the next command last")
+    findings: tuple[Finding, ...] = entry("Findings that need not be said again")
+
+    def without(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+        """Those of the findings that remain to be said."""
+        said = {x.identity for x in self.findings}
+        return tuple(x for x in findings if x.identity not in said)
+
+
+def opening_of(answers: Iterable[Answer]) -> Opening:
+    """Why nothing is known at the fits of these answers, the misfit first."""
+    given = list(answers)
+    found = {x.identity: x for answer in given for x in answer.findings if x.kind.doubt is not None}
+    command = _command(given)
+    sentences, said = list[str](), list[Finding]()
+    is_command_said = not command
+    for doubt in Doubt:
+        own = sorted(
+            (x for x in found.values() if x.kind.doubt is doubt), key=lambda x: RANKS[x.code]
+        )
+        if not own:
+            continue
+        kind = own[0].kind
+        told = [x for x in own if kind.lead and x.kind.lead == kind.lead] or own[:1]
+        if command and "command" in told[0].values:
+            values = {**told[0].values, "command": command}
+            told = [replace(told[0], sentence=kind.template.format(**values), values=values)]
+            is_command_said = True
+        if kind.lead:
+            sentences.append(kind.sentence(*(x.detail for x in told)))
+        else:
+            sentences.append(told[0].sentence)
+        # An error of the data is no less of one after its misfit was told.
+        said += [*told, *(x for x in own if x.severity is not Severity.ERROR)]
+    if sentences and not is_command_said:
+        sentences.append(f"Next: {command}")
+    return Opening(sentences=tuple(sentences), findings=tuple(said))
+
+
+def _command(answers: Iterable[Answer]) -> str:
+    """The diagnosis of the same data; empty where it was made."""
+    records = [x.record for x in answers if x.record is not None]
+    if any(x.verb == NEXT for x in records):
+        return ""
+    of_data = [x for x in records if x.settings.get("data")]
+    return _words(of_data[-1]) if of_data else f"identknee {NEXT}"
+
+
+def _words(record: Record) -> str:
+    settings = record.settings
+    words = ["identknee", NEXT, str(settings.get("subject") or "SUBJECT"), str(settings["data"])]
+    for name in GIVEN:
+        value = settings.get(name)
+        if value:
+            shown = value if isinstance(value, str) else ",".join(map(str, value))
+            words += [f"--{name}", shown]
+    return shlex.join(words)

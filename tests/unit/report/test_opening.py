@@ -1,0 +1,135 @@
+"""What results open with where their fit is rejected or implausible."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from bs4 import BeautifulSoup
+
+from identknee.report.answers.profile import profile_range
+from identknee.report.opening import opening_of
+from identknee.report.overview import Tone, overview, ranges_of
+from identknee.report.page.page import report_html
+from identknee.report.page.results import found_results
+from identknee.report.printer import full_text, short_text
+from identknee.runs.findings import Doubt, Finding, Severity, finding
+from identknee.verbs.answer import Answer
+from identknee.verbs.files import load
+from identknee.verbs.profile import Profiles
+
+STORED = Path(__file__).parents[2] / "fuzz" / "results"
+MISFIT = finding(
+    "conditional-on-misfit",
+    "data",
+    {"n": 45, "deviance": 102.1, "p": 1e-6, "threshold": 3.84, "command": "identknee diagnose"},
+)
+IMPROBABLE = finding("misfit-improbable", "data", {"ratio": 2.0}, sentence="Twice the misfit.")
+GROSS = finding("misfit-gross", "data", {"ratio": 10.0}, sentence="Ten times the misfit.")
+NOTHING_LESS = finding("no-loads", "data")
+
+
+def _force(ligament: str, newtons: float) -> Finding:
+    values = {
+        "ligament": ligament,
+        "force_N": newtons,
+        "load": "varus",
+        "failure_N": 557.0,
+        "source": "Wijdicks 2010",
+    }
+    return finding("implausible-force", ligament, values)
+
+
+def _profiles(*findings: Finding) -> Profiles:
+    answer = load(STORED / "profile")
+    assert isinstance(answer, Profiles)
+    doubts = {x.kind.doubt for x in findings}
+    return replace(
+        answer,
+        findings=findings,
+        parameters={
+            name: replace(
+                x,
+                conditional_on_misfit=Doubt.MISFIT in doubts,
+                at_implausible_fit=Doubt.IMPLAUSIBLE in doubts,
+            )
+            for name, x in answer.parameters.items()
+        },
+    )
+
+
+def test_a_sound_fit_opens_with_nothing() -> None:
+    assert opening_of([_profiles(NOTHING_LESS)]).sentences == ()
+    assert opening_of([_profiles(NOTHING_LESS)]).without([NOTHING_LESS]) == (NOTHING_LESS,)
+
+
+def test_the_misfit_comes_first_with_the_command_of_the_same_data() -> None:
+    answer = _profiles(_force("MCL", 1262.0), MISFIT)
+    first, second = opening_of([answer]).sentences
+    assert "102.1" in first
+    assert answer.record is not None
+    settings = answer.record.settings
+    assert f"identknee diagnose {settings['subject']} {settings['data']}" in first
+    assert "1262 N" in second
+
+
+def test_an_implausible_fit_ends_with_the_command() -> None:
+    forces = (_force("MCL", 1262.0), _force("LCL", 700.0))
+    said, command = opening_of([_profiles(*forces)]).sentences
+    assert "1262 N" in said
+    assert "700 N" in said
+    assert "identknee diagnose reference" in command
+
+
+def test_after_a_diagnosis_none_is_asked_for() -> None:
+    answers: list[Answer] = [_profiles(_force("MCL", 1262.0)), load(STORED / "diagnose")]
+    assert "diagnose" not in " ".join(opening_of(answers).sentences)
+
+
+def test_what_was_said_is_not_said_again_but_for_errors() -> None:
+    opening = opening_of([_profiles(MISFIT, IMPROBABLE, GROSS)])
+    assert opening.without([MISFIT, IMPROBABLE, GROSS, NOTHING_LESS]) == (GROSS, NOTHING_LESS)
+    assert opening_of([_profiles(GROSS)]).without([GROSS]) == ()
+    assert GROSS.severity is Severity.ERROR
+
+
+def test_texts_of_an_answer_begin_with_it() -> None:
+    answer = _profiles(MISFIT, NOTHING_LESS)
+    assert full_text(answer).startswith("The model leaves more misfit than the noise: deviance 102")
+    assert short_text(answer).splitlines()[1].startswith("The model leaves more misfit")
+    assert full_text(answer).count("102.1") == 1
+    assert NOTHING_LESS.line in full_text(answer)
+
+
+def test_no_status_beside_a_doubt_is_known() -> None:
+    sound, rejected, odd = (_profiles(*x) for x in ((), (MISFIT,), (_force("MCL", 1262.0),)))
+    for answer, expected in (
+        (sound, "known"),
+        (rejected, Doubt.MISFIT.value),
+        (odd, Doubt.IMPLAUSIBLE.value),
+    ):
+        (own,) = (profile_range(x).status for x in answer.profiles)
+        assert own == expected
+        assert {x.status for own in ranges_of([answer]).values() for x in own} == {expected}
+    assert overview([sound]).tone is Tone.GOOD
+    assert overview([rejected]).tone is overview([odd]).tone is Tone.WRONG
+    # Of other methods too, which know nothing of it.
+    local = replace(load(STORED / "information"), findings=(MISFIT,))
+    statuses = {x.status for own in ranges_of([local]).values() for x in own}
+    assert not statuses & {"known", "known locally", "probable"}
+
+
+def test_the_page_opens_with_it() -> None:
+    (result,) = found_results(STORED / "profile")
+    many = [finding("trial-against-fit", f"T{k}", sentence=f"T{k} is off.") for k in range(6)]
+    answer = _profiles(MISFIT, _force("MCL", 1262.0), *many)
+    page = BeautifulSoup(report_html([replace(result, answer=answer)]), "html.parser")
+    section = page.find(id="answer-1")
+    assert section is not None
+    paragraphs = [" ".join(x.get_text().split()) for x in section.find_all("p")]
+    assert "102.1" in paragraphs[0]
+    assert "identknee diagnose reference" in paragraphs[0].replace("\u00a0", " ")
+    assert "1262" in paragraphs[1]
+    cautions = section.find(class_="cautions")
+    assert cautions is not None
+    assert "102.1" not in cautions.get_text()
+    assert "1262" not in cautions.get_text()
+    assert "T5 is off" in cautions.get_text()
