@@ -17,7 +17,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from identknee.mechanics.pose import rotation_matrix
 from identknee.runs.arrays import Array
 
 Translations = Literal["components", "projections", "femur", "tibia"]
@@ -78,22 +77,29 @@ def _matrices(definition: Translations, flexion_deg: Array, coordinates: Array) 
 
     Angles that were not measured count as zero.
     """
-    varus, internal = np.nan_to_num(np.radians(coordinates[:, 3:].T))
     flexion = np.radians(flexion_deg)
-    tibia = np.moveaxis(rotation_matrix(flexion, varus, internal), -1, 0)
-    turned = np.moveaxis(rotation_matrix(flexion, 0.0 * flexion, 0.0 * flexion), -1, 0)
-    lateral = np.broadcast_to([0.0, 0.0, 1.0], (len(flexion), 3))
-    oblique = np.stack([lateral, turned[:, :, 0], -tibia[:, :, 1]], axis=1)
+    varus, internal = np.nan_to_num(np.radians(coordinates[:, 3:].T))
+    # All axes in those of the femur: x anterior, y superior, z lateral.
+    zero, one = np.zeros_like(flexion), np.ones_like(flexion)
+    lateral, turned = _vector(zero, zero, one), _vector(np.cos(flexion), -np.sin(flexion), zero)
+    superior = _vector(
+        np.sin(flexion) * np.cos(varus), np.cos(flexion) * np.cos(varus), np.sin(varus)
+    )
+    oblique = np.stack([lateral, turned, -superior], axis=1)
     if definition == "components":
         return np.broadcast_to(np.eye(3), (len(flexion), 3, 3))
+    cross = np.cross(turned, superior)
+    cos, sin = np.cos(internal)[:, None], np.sin(internal)[:, None]
     own = {
         "projections": oblique,
-        "femur": np.broadcast_to(
-            np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), (len(flexion), 3, 3)
-        ),
-        "tibia": np.stack([tibia[:, :, 2], tibia[:, :, 0], -tibia[:, :, 1]], axis=1),
+        "femur": np.stack([lateral, _vector(one, zero, zero), _vector(zero, -one, zero)], axis=1),
+        "tibia": np.stack([cos * cross + sin * turned, cos * turned - sin * cross, -superior], 1),
     }[definition]
     return np.asarray(own @ np.swapaxes(oblique, 1, 2))
+
+
+def _vector(x: Array, y: Array, z: Array) -> Array:
+    return np.stack([x, y, z], axis=1)
 
 
 def _inverse(matrices: Array) -> Array:

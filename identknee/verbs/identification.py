@@ -8,6 +8,7 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, fit, load_start
 from identknee.calibrate.problem import (
+    LIGAMENT_TERM,
     Problem,
     RestrictedProblem,
     WhitenedResiduals,
@@ -127,7 +128,8 @@ class Identification:
         whole = self.free.expand(theta)
         if not is_draw:
             # A ligament far from its prior is no misfit of the model.
-            deviance = misfit_square(self.problem, theta)
+            terms = evidence_terms(self.problem, theta)
+            deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
