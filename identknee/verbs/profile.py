@@ -9,11 +9,18 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import ParameterQuantity, Quantity, RestrictedQuantity
+from identknee.calibrate.problem import (
+    ParameterQuantity,
+    Quantity,
+    RestrictedQuantity,
+    with_all_priors,
+)
+from identknee.identify.optimum import best_fits as lowest_fits
 from identknee.identify.profile.pairs import PairProfile, profile_pair
 from identknee.identify.profile.profile import profile_quantities
 from identknee.identify.profile.result import (
     Profile,
+    ProfileVerdict,
     bootstrap_statistics,
     chi2_threshold,
     f_threshold,
@@ -33,6 +40,8 @@ from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]
+# Other ends of searches that a fit with priors begins from too.
+N_OTHERS = 4
 
 
 @declared
@@ -44,6 +53,13 @@ class Profiles(Answer):
     )
     quantities: Mapping[str, Profile] = entry(
         "Profile of each prediction by its name", rows="quantity", group="profile_quantities"
+    )
+    with_priors: Mapping[str, Profile] = entry(
+        "Profile with the priors of ligament parameters, of each parameter that the data alone do "
+        "not bound on both sides; none where `--priors` says what to do",
+        rows="quantity",
+        group="profile_with_priors",
+        default_factory=dict,
     )
     pairs: tuple[PairProfile, ...] = entry(
         "Joint sets of two parameters", rows="pair", group="profile_pairs"
@@ -89,7 +105,8 @@ class Profiles(Answer):
     def n_simulations(self) -> int:
         """Simulations made, each with its Jacobian."""
         pairs = sum(x.n_simulations for x in self.pairs)
-        return pairs + sum(x.n_simulations for x in self.profiles)
+        profiles = (*self.profiles, *self.with_priors.values())
+        return pairs + sum(x.n_simulations for x in profiles)
 
 
 @verb
@@ -226,9 +243,15 @@ def profile(
         for x in profiles
     )
     names = setup.problem.parameters.names
+    left_open = [
+        x.name for x in profiles if x.name in names and x.verdict is not ProfileVerdict.IDENTIFIABLE
+    ]
     return Profiles(
         parameters={x.name: x for x in profiles if x.name in names},
         quantities={x.name: x for x in profiles if x.name not in names},
+        with_priors={}
+        if priors is not None
+        else _with_priors(run, setup, fits, left_open, seed=seed, level=level, budget=budget),
         pairs=tuple(
             profile_pair(
                 setup.problem,
@@ -249,6 +272,39 @@ def profile(
         **setup.uncertain_at(best.optimum),
         findings=findings,
     )
+
+
+def _with_priors(
+    run: Run,
+    setup: Identification,
+    fits: Sequence[Fit],
+    names: Sequence[str],
+    *,
+    seed: int,
+    level: float,
+    budget: int,
+) -> dict[str, Profile]:
+    """Profiles of parameters with the priors of ligament parameters."""
+    if not names:
+        return {}
+    parameters = setup.problem.parameters
+    found = lowest_fits(
+        with_all_priors(setup.everywhere),
+        start=np.clip(fits[0].theta, parameters.lower, parameters.upper),
+        seed=seed,
+        executor=run.executor,
+        points=np.array([setup.start, *(x.theta for x in fits[1:N_OTHERS])]),
+    )
+    profiles = profile_quantities(
+        with_all_priors(setup.problem),
+        found[0].theta,
+        _parameters(setup, names),
+        executor=run.executor,
+        level=level,
+        budget=budget,
+        thresholds=_threshold(setup, level),
+    )
+    return {x.name: x for x in profiles}
 
 
 def _findings(

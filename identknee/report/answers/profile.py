@@ -90,6 +90,17 @@ def _quantity_sentences(profiles: Sequence[Profile]) -> str:
     return " ".join(f"{capitalised(x)}." for x in clauses)
 
 
+def priors_statement(profiles: Mapping[str, Profile]) -> Iterator[Statement]:
+    """What the priors of ligament parameters add where the data leave an end open."""
+    if profiles:
+        yield Statement(
+            question=Question.KNOWN,
+            sentence="With the priors of ligament parameters, which are not data, intervals that "
+            "the data leave open have these ends.",
+            tables=(_table(list(profiles.values()), "Profile intervals with priors"),),
+        )
+
+
 def quantity_clause(profile: Profile) -> str:
     """What is known of a quantity, to follow its name."""
     low, high, unit = profile.lower, profile.upper, profile.unit
@@ -272,6 +283,7 @@ class ProfilesPresenter(Presenter[Profiles]):
     def statements(self, answer: Profiles) -> Iterator[Statement]:
         """How many quantities are known, then one by one."""
         yield from parameter_statements(tuple(answer.parameters.values()))
+        yield from priors_statement(answer.with_priors)
         profiles = tuple(answer.quantities.values())
         if profiles:
             yield self.say(
@@ -300,6 +312,7 @@ class ProfilesPresenter(Presenter[Profiles]):
             first,
             parameters={**first.parameters, **later.parameters},
             quantities={**first.quantities, **later.quantities},
+            with_priors={**first.with_priors, **later.with_priors},
             pairs=(*first.pairs, *later.pairs),
             assumptions=tuple(dict.fromkeys((*first.assumptions, *later.assumptions))),
         )
