@@ -1,5 +1,6 @@
 """What makes the ends of a profile: the data, a prior, or the bound of another parameter."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -60,9 +61,15 @@ class OriginFinder:
         The problem whose profile it is.
     optimum
         The best fit.
+    beyond
+        Likely optima outside the bounds, shape ``(n,)`` each.
     """
 
-    def __init__(self, walk: ProfileContext, problem: Problem, optimum: Evaluation) -> None:
+    def __init__(
+        self, walk: ProfileContext, problem: Problem, optimum: Evaluation, beyond: Sequence[Array]
+    ) -> None:
+        self._beyond = tuple(beyond)
+        self._widened: tuple[Array, ...] = ()
         self._walk = walk
         self._problem = problem
         self._optimum = optimum
@@ -78,14 +85,15 @@ class OriginFinder:
         """
         at_end = self._gains(end.nearest.evaluation, end.nearest.slope)
         at_optimum = self._gains(self._optimum, 0.0)
-        if (at_end or at_optimum) and end.width > 0.0:
+        if (at_end or at_optimum or len(self._beyond)) and end.width > 0.0:
             moves = self._moves_outward(end)
             if moves is False and at_optimum:
                 moves = self._moves_inward(end)
             if moves is None:
                 return end.side
             if moves:
-                name = self._strongest(end, at_end or at_optimum)
+                gains = at_end or at_optimum
+                name = self._strongest(end, gains) if gains else self._farthest_outside()
                 return replace(end.side, made_by=EndOrigin.BOUND, bound_of=name)
         made_by = EndOrigin.PRIOR if self._is_of_priors(end) else EndOrigin.DATA
         return replace(end.side, made_by=made_by)
@@ -113,8 +121,9 @@ class OriginFinder:
     def _moves_outward(self, end: ClosedEnd) -> bool | None:
         """Whether the end lies farther out with twice the room, up to the quantity's own bounds.
 
-        The fit at the end is begun from there, and from the middle of the prior too: a bound may
-        bar the way to sets in which the parameters exchange their roles.
+        The fit at the end is begun from there and from the middle of the prior: a bound may bar the
+        way to sets in which the parameters exchange their roles. From optima outside the bounds the
+        profile is walked to beyond the end.
         """
         walk = self._with_room(self._problem.parameters.names)
         low, high = self._walk.limits
@@ -140,6 +149,22 @@ class OriginFinder:
                     break
             elif is_own and not walk.is_settled(point):
                 moves = None
+        if moves is False:
+            walk.limits = limits
+            for theta in (*self._beyond, *self._widened):
+                value, _ = walk.quantity.evaluate(theta)
+                point = walk.point(walk.solve(value, theta, tolerance=np.inf))
+                if not np.isfinite(value) or not walk.delta(point) < walk.threshold:
+                    continue
+                if end.direction * (value - end.beyond(MOVED)) >= 0.0:
+                    moves = True
+                    break
+                reached = march(walk, point, end.direction).side
+                if reached.status in NOT_COMPUTED:
+                    moves = None
+                elif reached.end is None:
+                    moves = True
+                    break
         self.n_simulations += walk.evaluator.n_simulations
         return moves
 
@@ -194,6 +219,14 @@ class OriginFinder:
             self.n_simulations += walk.evaluator.n_simulations
         return names[int(np.argmin(rises))]
 
+    def _farthest_outside(self) -> str:
+        """The parameter that lies farthest outside its bounds at an optimum beyond them."""
+        parameters = self._problem.parameters
+        room = parameters.upper - parameters.lower
+        beyond = np.array(self._beyond)
+        outside = np.maximum(parameters.lower - beyond, beyond - parameters.upper)
+        return parameters.names[int(np.argmax(np.max(outside / room, axis=0)))]
+
     def _with_room(self, names: tuple[str, ...]) -> ProfileContext:
         """The profile with twice the room for some parameters, from its own lowest deviance."""
         walk = self._walk
@@ -206,7 +239,10 @@ class OriginFinder:
         wider.lowest = walk.lowest
         if any(x in names for x in self._gains(self._optimum, 0.0)):
             tolerance = TOLERANCE * walk.threshold
-            wider.note(minimise(evaluator, self._optimum.theta, tolerance=tolerance).evaluation)
+            best = minimise(evaluator, self._optimum.theta, tolerance=tolerance).evaluation
+            wider.note(best)
+            if self._problem.parameters.is_of_interest.all():
+                self._widened = (best.theta,)
         return wider
 
     def _is_of_priors(self, end: ClosedEnd) -> bool:

@@ -1,7 +1,7 @@
 """The profile likelihood of a parameter or any other quantity."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypedDict, Unpack
@@ -25,6 +25,7 @@ from identknee.calibrate.problem import (
     thin_svd,
     typical_steps,
     value_at,
+    with_room_doubled,
 )
 from identknee.identify.profile.origins import MOVED, ClosedEnd, OriginFinder
 from identknee.identify.profile.result import (
@@ -336,6 +337,7 @@ def assembled(
     problem: Problem,
     branches: Sequence[Branch],
     *,
+    beyond: Sequence[Array],
     level: float,
     better_optimum: Array | None,
     n_restarts: int,
@@ -350,6 +352,8 @@ def assembled(
         The problem whose profile it is.
     branches
         That of the optimum first.
+    beyond
+        Likely optima outside the bounds, shape ``(n,)`` each.
     level
         Confidence level that the threshold stands for.
     better_optimum, n_restarts
@@ -370,7 +374,7 @@ def assembled(
                 continue
         merged.append((high, lower, upper))
     intervals = tuple((lower.end, upper.end) for _, lower, upper in merged)
-    finder = OriginFinder(walk, problem, origin.evaluation)
+    finder = OriginFinder(walk, problem, origin.evaluation, beyond)
     sides = (
         _with_origin(finder, branches, merged[0][1], intervals[0], -1),
         _with_origin(finder, branches, merged[-1][2], intervals[-1], 1),
@@ -511,9 +515,13 @@ class PolishedOptimum:
     ----------
     theta
         Where it is, shape ``(n,)``.
+    beyond
+        Likely optima outside the bounds, shape ``(n,)`` each: ends that would move from there hang
+        on bounds.
     """
 
     theta: Array
+    beyond: tuple[Array, ...] = ()
 
 
 def profile(
@@ -577,6 +585,7 @@ def profile(
         starts=np.reshape(np.asarray(starts, dtype=np.float64), (-1, problem.parameters.n)),
     )
     if isinstance(optimum_theta, PolishedOptimum):
+        run = replace(run, beyond=optimum_theta.beyond)
         return run.profile(run.evaluator(optimum_theta.theta))
     theta = np.asarray(optimum_theta, dtype=np.float64)
     return run.profile(_settled(run.evaluator, theta, threshold))
@@ -606,6 +615,7 @@ class _Run:
     level: float
     threshold: float
     starts: Array
+    beyond: tuple[Array, ...] = ()
 
     def profile(self, optimum: Evaluation) -> Profile:
         for n_restarts in range(MOST_RESTARTS + 1):
@@ -625,6 +635,7 @@ class _Run:
                 walk,
                 self.problem,
                 branches,
+                beyond=self.beyond,
                 level=self.level,
                 better_optimum=optimum.theta if n_restarts else None,
                 n_restarts=n_restarts,
@@ -755,6 +766,8 @@ def profile_quantities(
     each = np.broadcast_to(np.asarray(thresholds, float), len(quantities)).tolist()
     if starts is None:
         starts = other_optima(problem, theta, threshold=max(each), executor=executor)
+    looked = [theta, *np.reshape(starts, (-1, theta.size))]
+    beyond = optima_beyond_bounds(problem, looked, threshold=max(each), executor=executor)
     # Sent together, problem and quantities keep the one model that they share simulations by.
     asked = list(zip(quantities, each, strict=True))
     found: tuple[Profile, ...] = ()
@@ -771,7 +784,7 @@ def profile_quantities(
         for quantity in quantities:
             value_at(quantity, theta)
         kept = resumable_map(
-            partial(_profiled, problem, theta, asked, {**settings, "starts": starts}),
+            partial(_profiled, problem, theta, asked, beyond, {**settings, "starts": starts}),
             range(len(asked)),
             executor=executor,
             store=store,
@@ -833,6 +846,34 @@ def other_optima(
     return np.reshape([x.theta for x in found[1:]], (-1, parameters.n))
 
 
+def optima_beyond_bounds(
+    problem: Problem, thetas: Sequence[Array], *, threshold: float, executor: Executor = serial
+) -> tuple[Array, ...]:
+    """Likely optima outside the bounds, with twice the room for all parameters.
+
+    None are looked for beside nuisances, which make such searches too long.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise.
+    thetas
+        The best fit, then other optima within the bounds, and where to look from as well.
+    threshold
+        Rise of the deviance above the best fit up to which an optimum is likely.
+    executor
+        Anything with an ordered ``map``.
+    """
+    parameters = problem.parameters
+    if not parameters.is_of_interest.all():
+        return ()
+    most = evaluate(problem, thetas[0]).deviance + threshold
+    wider = with_room_doubled(problem, parameters.names)
+    fits = fit_many(wider, np.array(thetas), executor=executor, budget=FIT_BUDGET)
+    found = [x.theta for x in fits if x.deviance < most]
+    return tuple(x for x in found if np.any((x < parameters.lower) | (x > parameters.upper)))
+
+
 def _all_settled(problem: Problem, theta: Array, threshold: float, budget: int) -> list[float]:
     optimum = polish_optimum(problem, theta, threshold=threshold, budget=budget)
     return [float(x) for x in optimum.theta]
@@ -842,9 +883,10 @@ def _profiled(
     problem: Problem,
     theta: Array,
     asked: Sequence[tuple[Quantity, float]],
+    beyond: tuple[Array, ...],
     settings: dict[str, Any],
     which: int,
 ) -> dict[str, Any]:
     quantity, threshold = asked[which]
-    optimum = PolishedOptimum(theta=theta)
+    optimum = PolishedOptimum(theta=theta, beyond=beyond)
     return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))

@@ -8,6 +8,7 @@ from identknee.identify.profile.result import EndOrigin, ProfileVerdict
 from identknee.verbs.profile import Profiles
 
 NOISE = "0.5mm,0.5deg"
+HELD = [f"{x}.{y}" for x in ("PCL", "LCL") for y in ("stiffness_kN", "reference_strain_pct")]
 # Of the ends: profiles end to 1e-3 of the threshold.
 RELATIVE = 2e-3
 
@@ -24,7 +25,7 @@ def laxity() -> ik.Laxity:
 def found(laxity: ik.Laxity) -> Profiles:
     """The stiffness and strain of a ligament that carries nothing, and of one that does."""
     names = ["ACL.stiffness_kN", "ACL.reference_strain_pct", "MCL.reference_strain_pct"]
-    return ik.profile("reference", laxity, noise=NOISE, parameters=names)
+    return ik.profile("reference", laxity, noise=NOISE, fixed=HELD, parameters=names)
 
 
 def test_where_the_data_say_nothing_the_priors_make_the_ends(found: Profiles) -> None:
@@ -46,7 +47,12 @@ def test_what_the_data_bound_is_asked_once(found: Profiles, laxity: ik.Laxity) -
     assert set(found.with_priors) == {"ACL.stiffness_kN", "ACL.reference_strain_pct"}
     for asked in (True, False):
         one = ik.profile(
-            "reference", laxity, noise=NOISE, parameters=["ACL.stiffness_kN"], priors=asked
+            "reference",
+            laxity,
+            noise=NOISE,
+            fixed=HELD,
+            parameters=["ACL.stiffness_kN"],
+            priors=asked,
         )
         assert one.with_priors == {}
         own = one.parameters["ACL.stiffness_kN"]
