@@ -56,8 +56,6 @@ JUDGED = {
 # Fits of the first table again with this noise, and diagnoses with each.
 NOISE = "1mm,1.5deg"
 DIAGNOSED = {"s192803": ("1mm,1deg",), "s192803_bundles": ("1mm,1deg", "1mm,2.5deg")}
-# Starts of the sweep of each model, and how high above the best an end still fits as well.
-N_STARTS, AS_GOOD = 200, 3.84
 DIGITS = 4
 
 
@@ -70,11 +68,6 @@ def main() -> None:
             {"knee": k, "part": "diagnosis", "uncertain": BOTH, "noise": x}
             for k, noises in DIAGNOSED.items()
             for x in noises
-        ),
-        *(
-            {"knee": k, "part": x, "uncertain": BOTH, "noise": NOISE}
-            for k in KNEES
-            for x in ("profile", "landscape")
         ),
         *({"knee": k, "part": "fit", "uncertain": u} for k in KNEES for u in UNCERTAIN),
         *(
@@ -127,13 +120,7 @@ def as_it_is(knee: str) -> Row:
 def row_of(task: Row) -> Row:
     """One part of the record."""
     began = time.perf_counter()
-    work = {
-        "fit": fitted,
-        "held out": held_out,
-        "diagnosis": diagnosed,
-        "profile": profiled,
-        "landscape": swept,
-    }[task["part"]]
+    work = {"fit": fitted, "held out": held_out, "diagnosis": diagnosed}[task["part"]]
     row: Row = {**task, **work(task)}
     return dict(rounded({**row, "seconds": time.perf_counter() - began}, DIGITS))
 
@@ -203,52 +190,6 @@ def diagnosed(task: Row) -> Row:
         "advised": [x.trial for x in found.advised_trials],
         "advice": found.advice and found.advice.sentence,
         "findings": [x.sentence for x in found.findings],
-    }
-
-
-def profiled(task: Row) -> Row:
-    """Interval of each parameter, how its ends came about, and the deviance of the best fit."""
-    found = ik.profile(
-        task["knee"], table(), noise=task["noise"], uncertain=UNCERTAIN[task["uncertain"]]
-    )
-    return {
-        "deviance": found.deviance,
-        "n_simulations": found.n_simulations,
-        "parameters": {
-            name: {
-                "value": x.optimum_value,
-                "ends": [x.lower_side.end, x.upper_side.end],
-                "statuses": [x.lower_side.status.value, x.upper_side.status.value],
-            }
-            for name, x in found.parameters.items()
-        },
-    }
-
-
-def swept(task: Row) -> Row:
-    """Where searches from all over the box end, and into how many basins they gather."""
-    found = ik.sweep(
-        task["knee"],
-        table(),
-        n_starts=N_STARTS,
-        paths=0,
-        noise=task["noise"],
-        uncertain=UNCERTAIN[task["uncertain"]],
-    )
-    searches, basins = found.searches, found.survey.basins.basins
-    deviances = 2.0 * searches.polished_objectives
-    lowest = searches.lowest_objective if found.best is None else found.best.objective
-    best = 2.0 * min(lowest, searches.lowest_objective)
-    return {
-        "outcomes": searches.polished_outcomes,
-        "deviance": best,
-        "lowest_end": float(deviances.min()),
-        "n_basins": len(basins),
-        "n_seen_once": sum(x.share.count == 1 for x in basins),
-        "largest_share": max((x.share.value for x in basins), default=0.0),
-        "unseen_mass": found.survey.unseen.estimate,
-        "as_good": int(np.sum(deviances <= best + AS_GOOD)),
-        "quantiles": np.quantile(deviances, [0.25, 0.5, 0.75]).tolist(),
     }
 
 

@@ -15,7 +15,6 @@ from scipy.special import stdtrit
 
 import identknee as ik
 from identknee.model.effects.facts import cause_label
-from identknee.runs.words import label
 
 NAMES = {"s192803": "four lines", "s192803_bundles": "14 bundles in 4 groups"}
 NAIVE, HONEST = "nothing", "frames and insertions"
@@ -42,15 +41,15 @@ def held_out_figure(record: Row) -> Figure:
         for x in record["knees"]["s192803_bundles"]["parts"]
         if x["part"] == "held out" and x["split"] == FIRST_SPLIT
     }
-    for axes, (coordinate, words) in zip(
+    for axes, (coordinate, label) in zip(
         np.atleast_1d(figure.subplots(1, len(JUDGED))), JUDGED.items(), strict=True
     ):
         for k, uncertain in enumerate((NAIVE, HONEST)):
             _points(axes, rows[uncertain], coordinate, k)
         low, high = axes.get_xlim()
         axes.plot([low, high], [low, high], color=ik.report.GREY, linewidth=0.8, zorder=0)
-        axes.set_xlabel(f"measured {words}")
-        axes.set_ylabel(f"predicted {words}")
+        axes.set_xlabel(f"measured {label}")
+        axes.set_ylabel(f"predicted {label}")
         axes.spines[["top", "right"]].set_visible(False)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
@@ -63,8 +62,6 @@ def tables(record: Row) -> Mapping[str, ik.report.Table | str]:
         "fits": fits_table(record),
         "diagnoses": diagnoses_table(record),
         "held out": held_out_table(record),
-        "landscape": landscape_table(record),
-        "profiles": profiles_table(record),
     }
 
 
@@ -132,46 +129,6 @@ def diagnoses_table(record: Row) -> ik.report.Table:
     )
 
 
-def landscape_table(record: Row) -> ik.report.Table:
-    """Where searches from all over the box end."""
-    rows: list[tuple[Cell, ...]] = [
-        (
-            NAMES[x["knee"]],
-            sum(x["outcomes"].values()),
-            x["outcomes"].get("minimum", 0),
-            x["outcomes"].get("cliff", 0),
-            x["n_basins"],
-            x["n_seen_once"],
-            round(100.0 * x["unseen_mass"]),
-            x["deviance"],
-            x["lowest_end"],
-            x["quantiles"][1],
-            x["as_good"],
-        )
-        for x in parts(record, "landscape")
-    ]
-    return table(
-        "Least squares from 200 Sobol points of the box, polished ends",
-        "model; starts | 0; minima | 0; cliffs | 0; basins | 0; seen once | 0; "
-        "volume of basins not seen [%] | 0; lowest deviance known | 1; "
-        "lowest end of the sweep | 1; median end | 1; ends within 3.84 of the lowest | 0",
-        rows,
-    )
-
-
-def profiles_table(record: Row) -> ik.report.Table:
-    """Intervals of the parameters by the data alone."""
-    rows: list[tuple[Cell, ...]] = []
-    for x in parts(record, "profile"):
-        for name, own in x["parameters"].items():
-            ends = [
-                f"{end:.1f}" if status == "closed" else status.replace("_", " ")
-                for end, status in zip(own["ends"], own["statuses"], strict=True)
-            ]
-            rows.append((NAMES[x["knee"]], label(name), own["value"], *ends))
-    return table("Profiles: 95 % ends", "model; parameter; best | 1; lower end; upper end", rows)
-
-
 def held_out_table(record: Row) -> ik.report.Table:
     """Errors of what a fit did not see."""
     rows: list[tuple[Cell, ...]] = []
@@ -223,7 +180,7 @@ def _of(values: list[float], name: str) -> float:
 def _points(axes: Axes, row: Row, coordinate: str, k: int) -> None:
     own = [x for x in row["judged"] if x[1] == coordinate and x[3] is not None]
     measured, predicted, sd = np.array([x[2:] for x in own]).reshape(-1, 3).T
-    words = "geometry exact" if k == 0 else "frames and insertions uncertain"
+    label = "geometry exact" if k == 0 else "frames and insertions uncertain"
     axes.errorbar(
         measured,
         predicted,
@@ -232,7 +189,7 @@ def _points(axes: Axes, row: Row, coordinate: str, k: int) -> None:
         color=ik.report.GREY if k == 0 else ik.report.COLOURS[0],
         markersize=5,
         linewidth=1.0,
-        label=f"{words} (bars: 90 %)",
+        label=f"{label} (bars: 90 %)",
     )
 
 
