@@ -84,6 +84,8 @@ def with_defect(name: str, surface: Surface) -> tuple[Array, Polygons]:
         "twice-turned": lambda x: [x, x[1:] + x[:1]],
         "both-sides": lambda x: [x, x[::-1]],
         "turned": lambda x: [x[::-1]],
+        "turned-at-last": lambda x: [[x[0], x[2], x[1]]],
+        "turned-at-first": lambda x: [[x[1], x[0], x[2]]],
     }
     if name in changes:
         return vertices, _at(places, changes[name])(faces)

@@ -37,6 +37,8 @@ DEFECTS = {
     "twice-turned": "twice",
     "both-sides": "twice",
     "turned": "turned",
+    "turned-at-last": "turned",
+    "turned-at-first": "turned",
     "stray": "unused",
 }
 
@@ -64,7 +66,10 @@ def test_a_repaired_mesh_is_the_clean_one(
     assert len(found.repairs.clauses) == 1
 
 
-@pytest.mark.parametrize("name", ["twice", "both-sides", "turned", "a-point", "line"])
+@pytest.mark.parametrize(
+    "name",
+    ["twice", "both-sides", "turned", "turned-at-last", "turned-at-first", "a-point", "line"],
+)
 def test_an_stl_file_with_a_fault_is_the_clean_one(
     tmp_path: Path, clean: Surface, name: str
 ) -> None:
