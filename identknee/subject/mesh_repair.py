@@ -81,7 +81,7 @@ def repaired(
         raise ValueError("none of its triangles has an area")
     if not (n_flat or n_twice or turned.any()):
         return places, numbered, found
-    back = exchanged_corners(whole, turned)
+    back = exchanged_corners(places, whole, turned, is_soup=is_soup)
     if n_split:
         whole = np.where(turned[:, None], whole[:, back], whole)
         return *merged(places, whole), found
@@ -189,14 +189,7 @@ def wound_otherwise(vertices: Array, faces: IntArray) -> BoolArray:
     directed, times = np.unique(edges[:, 0] * n + edges[:, 1], return_counts=True)
     if len(directed) == 0 or times.max() == 1:
         return none
-    low, high = edges.min(axis=1), edges.max(axis=1)
-    order = np.argsort(low * n + high, kind="stable")
-    named = (low * n + high)[order]
-    starts = np.flatnonzero(np.r_[True, named[1:] != named[:-1]])
-    pairs = starts[np.diff(np.r_[starts, len(named)]) == 2]
-    one, other = order[pairs], order[pairs + 1]
-    # Neighbours agree that run through their edge in opposite directions.
-    agrees = edges[one, 0] != edges[other, 0]
+    one, other, agrees = _neighbours(faces)
     parts, flips = _signs(len(faces), one // 3, other // 3, agrees)
     corners = vertices[faces]
     area = np.linalg.norm(
@@ -212,22 +205,52 @@ def wound_otherwise(vertices: Array, faces: IntArray) -> BoolArray:
 EXCHANGES = ((2, 1, 0), (0, 2, 1), (1, 0, 2))
 
 
-def exchanged_corners(faces: IntArray, turned: BoolArray) -> tuple[int, ...]:
+def exchanged_corners(
+    vertices: Array, faces: IntArray, turned: BoolArray, *, is_soup: bool
+) -> tuple[int, ...]:
     """The exchange of two corners after which the triangles turned are like the others.
 
     Where a triangle begins says nothing about the surface, but contact points are found by going
-    through the triangles from corner to corner. Most files number the corners of their triangles by
-    some pattern, and one exchange of the three leaves it as it was.
+    through the triangles from corner to corner. Programs number corners by some pattern: which
+    corner has the lowest number, and at which sides neighbours meet. One exchange of the three
+    leaves it as it was.
     """
-    ranks = np.argsort(faces, axis=1) @ [9, 3, 1]
-    share = 1.0 + np.bincount(ranks[~turned], minlength=27)
-    seen = np.log(share / share.sum())
+    if not turned.any():
+        return EXCHANGES[0]
 
     def likeness(exchange: tuple[int, ...]) -> float:
-        found = np.argsort(faces[turned][:, exchange], axis=1) @ [9, 3, 1]
-        return float(seen[found].sum())
+        own = np.where(turned[:, None], faces[:, exchange], faces)
+        if is_soup:
+            _, own = merged(vertices[own].reshape(-1, 3), np.arange(own.size).reshape(-1, 3))
+        one, other, _ = _neighbours(own)
+        ranks, sides = np.argsort(own, axis=1) @ np.array([9, 3, 1]), 3 * (one % 3) + other % 3
+        n_turned = turned[one // 3].astype(int) + turned[other // 3]
+        return _likelihood(ranks[turned], ranks[~turned]) + _likelihood(
+            sides[n_turned == 1], sides[n_turned == 0]
+        )
 
     return max(EXCHANGES, key=likeness)
+
+
+def _likelihood(values: IntArray, others: IntArray) -> float:
+    """Logarithm of how likely values are to come up among others."""
+    seen = 1.0 + np.bincount(others, minlength=27)
+    return float(np.log(seen / seen.sum())[values].sum())
+
+
+def _neighbours(faces: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Numbers of the two sides that meet, where two do, and whether they run oppositely.
+
+    The sides of triangle i are 3 i to 3 i + 2.
+    """
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    named = ends.min(axis=1) * (int(faces.max()) + 1) + ends.max(axis=1)
+    order = np.argsort(named, kind="stable")
+    ordered = named[order]
+    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]])
+    pairs = starts[np.diff(np.r_[starts, len(ordered)]) == 2]
+    one, other = order[pairs], order[pairs + 1]
+    return one, other, ends[one, 0] != ends[other, 0]
 
 
 def _signs(n: int, one: IntArray, other: IntArray, agrees: BoolArray) -> tuple[IntArray, BoolArray]:
