@@ -154,6 +154,7 @@ class NotTaken:
     names: tuple[str, ...] = entry("Names there")
     change: Change = entry("Whether it is left out or changed")
     why: str = entry("What became of it and why, as a clause")
+    is_line: bool = entry("Whether it is a ligament between femur and tibia", default=False)
 
 
 @declared
@@ -239,6 +240,7 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
             names=tuple(names),
             change="left out" if why in (OFF, MOVING) else "changed",
             why=why,
+            is_line=True,
         )
         for why, names in told.items()
         if names
@@ -250,8 +252,15 @@ def other_ligaments(bones: Bones) -> list[Element]:
     return [
         x
         for x in bones.model.forces
-        if x.tag != LIGAMENT_CLASS and set(ends_of(bones, x)) == {"femur", "tibia"}
+        if x.tag != LIGAMENT_CLASS
+        and not is_muscle(x)
+        and set(ends_of(bones, x)) == {"femur", "tibia"}
     ]
+
+
+def is_muscle(force: Element) -> bool:
+    """Whether a force is that of a muscle."""
+    return "Muscle" in force.tag or force.find("max_isometric_force") is not None
 
 
 def merged(

@@ -1,6 +1,7 @@
 """What of an OpenSim model has no place in a knee, as one list."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from identknee.subject.opensim import (
     CONTACT_LAW,
@@ -12,6 +13,8 @@ from identknee.subject.opensim import (
     NotTaken,
     contact_meshes,
     ends_of,
+    is_muscle,
+    other_ligaments,
     side_in,
 )
 from identknee.subject.opensim_model import Element, OsimModel
@@ -50,19 +53,26 @@ def _joined(told: Iterable[NotTaken]) -> Iterator[NotTaken]:
     for x in told:
         groups.setdefault((x.kind, x.change, x.why), []).append(x)
     for own in groups.values():
-        names = tuple(name for x in own for name in x.names)
-        yield NotTaken(kind=own[0].kind, names=names, change=own[0].change, why=own[0].why)
+        yield replace(own[0], names=tuple(name for x in own for name in x.names))
 
 
-def _one(element: Element, why: str, *, is_changed: bool = False) -> NotTaken:
+def _one(
+    element: Element, why: str, *, is_changed: bool = False, is_line: bool = False
+) -> NotTaken:
     name = element.get("name") or "without a name"
     change: Change = "changed" if is_changed else "left out"
-    return NotTaken(kind=element.tag, names=(name,), change=change, why=why)
+    return NotTaken(kind=element.tag, names=(name,), change=change, why=why, is_line=is_line)
 
 
 def _forces(bones: Bones) -> Iterator[NotTaken]:
     own = {x.get("name") for x in bones.joint.element.iterfind("coordinates/Coordinate")}
+    lines = other_ligaments(bones)
+    for x in lines:
+        why = f"only lines of class {LIGAMENT_CLASS} are read"
+        yield _one(x, why, is_line=True)
     for x in bones.model.forces:
+        if x in lines:
+            continue
         coordinate = (x.findtext("coordinate") or "").strip().split("/")[-1]
         ends = set(ends_of(bones, x))
         if x.tag == LIGAMENT_CLASS:
@@ -72,8 +82,8 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
                 yield _one(x, "damping is left out: there is no time", is_changed=True)
         elif "Contact" in x.tag or x.tag in ("ElasticFoundationForce", "HuntCrossleyForce"):
             yield _one(x, CONTACT_LAW, is_changed=True)
-        elif ends == {"femur", "tibia"}:
-            yield _one(x, f"it leads from femur to tibia, but only {LIGAMENT_CLASS} is read")
+        elif is_muscle(x):
+            yield _one(x, "no muscle pulls")
         elif coordinate in own:
             yield _one(x, "it acts on a coordinate of this knee, and its class is not read")
         elif ends or _bodies_of(bones, x):

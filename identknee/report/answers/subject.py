@@ -72,7 +72,11 @@ class ImportedSubjectPresenter(Presenter[ImportedSubject]):
         """Side and ligaments, and what of the model is not in it."""
         yield from subject_statements(answer)
         if answer.left_out:
-            yield self.say("The knee has not all that the model has.", left_out_table(answer))
+            lost = [x for x in answer.left_out if x.is_line and x.change == "left out"]
+            lines = [f"{', '.join(x.names)} ({x.kind}): {x.why}." for x in lost]
+            head = "Not all of the model is in the knee."
+            sentence = "\n".join([head, *(f"Left out: {x}" for x in lines)])
+            yield self.say(sentence, left_out_table(answer))
 
 
 class SubjectCheckPresenter(Presenter[SubjectCheck]):
