@@ -159,8 +159,12 @@ def _floats(rows: Sequence[Sequence[str]], what: str) -> Array:
     raise MeshError("its vertices are not of three numbers each")
 
 
-def _fan(polygons: Sequence[Sequence[int]]) -> IntArray:
+def _fan(polygons: Sequence[Sequence[int]] | IntArray) -> IntArray:
     """Triangles of polygons, those of each together, in their order."""
+    if isinstance(polygons, np.ndarray):
+        corners = polygons.shape[1]
+        parts = [polygons[:, [0, i, i + 1]] for i in range(1, corners - 1)]
+        return np.stack(parts, axis=1).reshape(-1, 3) if parts else np.zeros((0, 3), np.int64)
     made = [(x[0], x[i], x[i + 1]) for x in polygons for i in range(1, len(x) - 1)]
     return np.array(made, np.int64).reshape(-1, 3)
 
@@ -304,7 +308,7 @@ def _binary_ply(
             found["vertex"] = np.stack([fixed[x].astype(float) for x in "xyz"], axis=1)
         elif element.name == "face":
             name = next(x for x in PLY_CORNERS if x in element.names)
-            found["face"] = fixed[name].astype(np.int64).tolist()
+            found["face"] = fixed[name].astype(np.int64)
     return found, body[place:]
 
 

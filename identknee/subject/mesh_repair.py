@@ -70,9 +70,8 @@ def repaired(
     n_flat = int(is_flat.sum())
     split, n_split = _without_fillers(places, numbered, is_flat)
     kept = np.flatnonzero(~is_flat)
-    _, first = np.unique(np.sort(split, axis=1), axis=0, return_index=True)
+    first = _first_of_each(split)
     n_twice = len(split) - len(first)
-    first = np.sort(first)
     whole = split[first]
     turned = wound_otherwise(places, whole)
     unused = len(vertices) - len(np.unique(faces))
@@ -91,6 +90,16 @@ def repaired(
     if is_soup:
         vertices, own = vertices[own].reshape(-1, 3), np.arange(own.size).reshape(-1, 3)
     return *merged(vertices, own), found
+
+
+def _first_of_each(faces: IntArray) -> IntArray:
+    """Places of the triangles that no earlier one has the same corners as, in their order."""
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)
+    ordered = corners[order]
+    is_new = np.ones(len(faces), bool)
+    is_new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return np.sort(order[is_new])
 
 
 def merged(vertices: Array, faces: IntArray) -> tuple[Array, IntArray]:

@@ -188,7 +188,9 @@ def ends_of(bones: Bones, element: Element) -> dict[str, OsimEnd]:
 
 def is_off(element: Element) -> bool:
     """Whether a force is switched off in the model."""
-    return element.findtext("appliesForce", "true").strip().lower() in ("false", "0")
+    applies = (element.findtext("appliesForce") or "").strip().lower()
+    disabled = (element.findtext("isDisabled") or "").strip().lower()
+    return applies in ("false", "0") or disabled in ("true", "1")
 
 
 WRAPPED = "straight lines replace paths that wrap or bend"

@@ -76,7 +76,9 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
         coordinate = (x.findtext("coordinate") or "").strip().split("/")[-1]
         ends = set(ends_of(bones, x))
         if x.tag == LIGAMENT_CLASS:
-            if ends != {"femur", "tibia"}:
+            if x.find("GeometryPath/PathPointSet/objects/*") is None:
+                yield _one(x, "its path has no points", is_line=True)
+            elif ends != {"femur", "tibia"}:
                 yield _one(x, "it does not lead from the femur to the tibia of this knee")
             elif float((x.findtext("damping_coefficient") or "0").split()[0]):
                 yield _one(x, "damping is left out: there is no time", is_changed=True)
