@@ -55,7 +55,9 @@ def read_mesh(file: Path) -> RawMesh:
     """
     parse = PARSERS[file.suffix.lower()]
     try:
-        return parse(file.read_bytes())
+        # Some values that are no number cannot be cast without a warning; they are refused later.
+        with np.errstate(invalid="ignore"):
+            return parse(file.read_bytes())
     except MeshError as error:
         raise InputError(file, error.where, error.why, error.remedy) from error
     except (
@@ -242,8 +244,12 @@ def _ply_header(text: str) -> tuple[str, list[_PlyElement]]:
         raise MeshError("its header has no vertices with x, y and z")
     if "face" not in known:
         raise MeshError("there is no triangle in it", remedy="Export the surface, not points.")
-    if not set(PLY_CORNERS) & set(known["face"].names):
-        raise MeshError("its faces have no vertex_indices")
+    if len(known) < len(elements):
+        raise MeshError("its header has two elements of one name")
+    face = known["face"]
+    lists = {x for x, count in zip(face.names, face.counts, strict=True) if count}
+    if not set(PLY_CORNERS) & lists:
+        raise MeshError("its faces have no list of vertex_indices")
     return order, elements
 
 

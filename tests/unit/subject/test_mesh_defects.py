@@ -190,9 +190,10 @@ def _vtp(stored: str, packed: str) -> bytes:
         "connectivity": np.array([0, 1, 2, 0, 2, 3], "<i8").tobytes(),
         "offsets": np.array([3, 6], "<i8").tobytes(),
     }
-    pack = {"zlib": zlib.compress, "lzma": lzma.compress}.get(packed)
+    packs: dict[str, Callable[[bytes], bytes]] = {"zlib": zlib.compress, "lzma": lzma.compress}
+    pack = packs.get(packed)
     name = {"zlib": "vtkZLibDataCompressor", "lzma": "vtkLZMADataCompressor"}.get(packed, "")
-    encode = (lambda x: x) if stored == "raw" else base64.b64encode
+    encode: Callable[[bytes], bytes] = (lambda x: x) if stored == "raw" else base64.b64encode
     appended, texts = b"", {}
     for key, data in arrays.items():
         if pack is None:

@@ -254,7 +254,7 @@ def test_one_of_two_legs(tmp_path: Path, knee: Knee) -> None:
     path = _both_legs(tmp_path / "both", knee)
     with pytest.raises(InputError, match="--side left or --side right"):
         import_opensim(path)
-    right, left = (import_opensim(path, side=x) for x in ("right", "left"))  # type: ignore[arg-type]
+    right, left = (import_opensim(path, side=x) for x in ("right", "left"))
     assert (right.side, left.side) == ("right", "left")
     assert [x.name for x in left.ligaments] == ["ACL_l", "PCL_l", "LCL_l", "MCL_l"]
     for one, other in zip(right.ligaments, left.ligaments, strict=True):
