@@ -1,6 +1,5 @@
 """OpenSim 4 models: their XML, their frames and their joints."""
 
-import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -313,38 +312,36 @@ class OsimModel:
 
 # A character that begins something in XML, and how it is written as itself.
 WRITTEN = {"&": "&amp;", "<": "&lt;"}
+# How bytes that are no UTF-8 are decoded, and code points that XML has no place for.
+BYTES, NO_CHARACTERS = range(0xDC80, 0xDD00), (0xFFFE, 0xFFFF)
 
 
 def _broken_at(content: bytes, error: ET.ParseError) -> tuple[str, str, str]:
     """Where XML breaks off, why, and what to do: the character is named."""
     line, column = error.position
-    lines = content.split(b"\n")
-    row = lines[line - 1] if line <= len(lines) else b""
-    here = row[column : column + 4]
-    place = f"line {line}, column {column + 1}"
-    if error.code != INVALID_TOKEN or not here:
-        return place, f"this is not valid XML: {error}", "Save the model again."
-    # A text is taken for a name or a tag only after the character that begins one.
-    began = next((i for i in range(column, -1, -1) if row[i : i + 1] in (b"&", b"<", b">")), -1)
-    character = row[began : began + 1].decode("ascii") if began >= 0 else ""
-    is_begun = character in WRITTEN and not re.search(rb"[\x00-\x08\x0b-\x1f]", here[:1])
-    try:
-        found = here.decode("utf-8", "ignore")[:1]
-        is_text = bool(found) and here.startswith(found.encode("utf-8"))
-    except UnicodeError:
-        is_text = False
-    if not is_text:
-        why = f"this is not valid XML: the byte 0x{here[0]:02X} is no character of UTF-8"
-        return place, why, "Save the file as UTF-8."
-    if is_begun and not (character == "<" and began == column):
-        place = f"line {line}, column {began + 1}"
-        why = f"this is not valid XML: the character {character} begins what is not valid there"
-        return place, why, f"Write {WRITTEN[character]} where it is meant as a character."
-    if found == "<":
-        why = "this is not valid XML: the character < is not valid there"
-        return place, why, "Write &lt; where it is meant as a character."
-    why = f"this is not valid XML: the character U+{ord(found):04X} is not allowed there"
-    return place, why, "Remove it."
+    # The parser counts characters; what is none in UTF-8 stays one byte each.
+    rows = content.decode("utf-8", "surrogateescape").split("\n")
+    row = rows[line - 1] if line <= len(rows) else ""
+    found = row[column : column + 1]
+    if error.code != INVALID_TOKEN or not found:
+        why = f"this is not valid XML: {error}"
+        return f"line {line}, column {column + 1}", why, "Save the model again."
+    number = ord(found)
+    # It is noticed only after the character that begins a name or a tag.
+    began = max(row.rfind(x, 0, column + 1) for x in "<>")
+    if (name := row.rfind("&", 0, column + 1)) >= 0 and ";" not in row[name:column]:
+        began = name
+    if number in BYTES:
+        why, remedy = f"the byte 0x{number - 0xDC00:02X} is no UTF-8", "Save the file as UTF-8."
+    elif number < ord(" ") or number in NO_CHARACTERS:
+        why, remedy = f"the character U+{number:04X} is not allowed", "Remove it."
+    elif began >= 0 and row[began] in WRITTEN:
+        column, found = began, row[began]
+        why = f"the character {found} begins what is not valid there"
+        remedy = f"Write {WRITTEN[found]} where it is meant as a character."
+    else:
+        why, remedy = f"the character {found} is not allowed there", "Correct or remove it."
+    return f"line {line}, column {column + 1}", f"this is not valid XML: {why}", remedy
 
 
 def _about(axis: int, angle: float) -> Array:
