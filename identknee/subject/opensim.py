@@ -525,12 +525,18 @@ def _meshes(
         file = mesh_file(model, mesh, file_of(mesh))
         surface = read_surface(file)
         factors = model.vector(mesh, "scale_factors", "1 1 1")
-        scaled = Surface(vertices=surface.vertices * factors, faces=surface.faces)
+        is_mirrored = bool(factors.prod() < 0.0)
+        # A mirror turns triangles round, whose normals must stay outward.
+        faces = surface.faces[:, ::-1] if is_mirrored else surface.faces
+        scaled = Surface(vertices=surface.vertices * factors, faces=faces)
         placed = (bodies[body] @ frame).moved(scaled).scaled(MM_PER_M)
         if any(np.array_equal(placed.vertices, x.vertices) for x in surfaces):
             told.append(_told(mesh, "left out", "the same surface is given twice"))
             continue
         surfaces.append(placed)
+        if is_mirrored:
+            why = "its scale factors mirror it, and its triangles are turned so that they face out"
+            told.append(_told(mesh, "changed", why))
         if clauses := surface.repairs.clauses:
             told.append(_told(mesh, "changed", f"{file.name} was mended: {'; '.join(clauses)}"))
     return joined(*surfaces), told

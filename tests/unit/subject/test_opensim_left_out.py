@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mesh_defects import write_polygons
 from osim_files import LIGAMENT, write_model
 
 from identknee.runs.errors import InputError
@@ -310,6 +311,28 @@ def test_one_plateau_is_not_cut(tmp_path: Path, knee: Knee) -> None:
     write_surface(knee.tibia[0].scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
     with pytest.raises(InputError, match="it has one plateau"):
         import_opensim(path)
+
+
+@pytest.mark.parametrize("bone", ["femur", "tibia"])
+def test_a_mesh_that_is_mirrored_by_its_scale(tmp_path: Path, knee: Knee, bone: str) -> None:
+    path = write_model(tmp_path, knee)
+    file = tmp_path / "Geometry" / f"{bone}.stl"
+    write_surface(read_surface(file).mirrored(), file)
+    factors = "</scale_factors></Smith2018ContactMesh>"
+    mesh = f"<mesh_file>{bone}.stl</mesh_file><scale_factors>1 1 "
+    edited(path, (f"{mesh}1{factors}", f"{mesh}-1{factors}"))
+    found = imported_knee(path)
+    assert [x.names for x in left_out_of(found)] == [(f"{bone}_mesh",)]
+    np.testing.assert_allclose(found.knee.femur.centroid, knee.femur.centroid, atol=1e-4)
+
+
+@pytest.mark.parametrize("bone", ["femur", "tibia"])
+def test_meshes_in_vtp_files(tmp_path: Path, knee: Knee, bone: str) -> None:
+    path = edited(write_model(tmp_path, knee), (f"{bone}.stl", f"{bone}.vtp"))
+    surface = read_surface(tmp_path / "Geometry" / f"{bone}.stl")
+    write_polygons(tmp_path / "Geometry" / f"{bone}.vtp", surface.vertices, surface.faces.tolist())
+    found = import_opensim(path)
+    assert len(found.femur.faces) == len(knee.femur.faces)
 
 
 def test_crumbs_are_said(tmp_path: Path, knee: Knee) -> None:
