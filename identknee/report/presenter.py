@@ -162,6 +162,7 @@ PRESENTERS = {
     "Isolability": "isolability:IsolabilityPresenter",
     "Design": "design:DesignPresenter",
     "SubjectFacts": "subject:SubjectPresenter",
+    "ImportedSubject": "subject:ImportedSubjectPresenter",
     "SubjectCheck": "subject:SubjectCheckPresenter",
     "SettledSubject": "subject:SettledSubjectPresenter",
 }

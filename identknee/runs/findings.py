@@ -416,6 +416,12 @@ _ALL = (
     ),
     _geometry("in-metres", ERROR, "A length is so small that it can only be in metres.", MULTIPLY),
     _geometry(
+        "surfaces-same",
+        ERROR,
+        "Two of the three surfaces are the same.",
+        "Give each surface its own file.",
+    ),
+    _geometry(
         "stiffness-impossible", ERROR, "No ligament has a stiffness near the stated one.", DIVIDE
     ),
     _geometry(
@@ -469,6 +475,12 @@ _ALL = (
         "The pose depends on whether the default contact points or all vertices are used, or the "
         "two cannot be compared.",
         "Smooth the cartilage surfaces, or use LaxityModel(n_points=None).",
+    ),
+    _geometry(
+        "surface-repaired",
+        WARNING,
+        "A surface was mended when it was read.",
+        "The mended surface is used, and identknee subject export writes it.",
     ),
     _geometry(
         "surface-closed",

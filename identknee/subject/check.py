@@ -1,6 +1,7 @@
 """Checks of a knee's geometry, each finding one sentence with its remedy."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -11,7 +12,7 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, by_severity, finding
+from identknee.runs.findings import Finding, Severity, by_severity, finding
 from identknee.subject.knee import (
     Knee,
     Ligament,
@@ -81,31 +82,54 @@ def geometry_finding(
 
 def check_geometry(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Everything found about surfaces, their contact, ligaments and frames; errors first."""
-    findings = [
-        *fatal_geometry_findings(knee),
-        *(x for name, surface in _surfaces(knee) for x in _surface_findings(name, surface)),
-        *_contact_findings(knee),
-        *_ligament_findings(knee),
-        *_frame_findings(knee),
-        *_landmark_findings(knee),
-    ]
-    return tuple(by_severity(findings))
+    return tuple(by_severity([*fatal_geometry_findings(knee), *_other_findings(knee)]))
+
+
+@lru_cache(maxsize=8)
+def geometry_warnings(knee: Knee) -> tuple[Finding, ...]:
+    """What a check of the knee warns of, as every result that rests on the knee repeats it."""
+    return tuple(
+        finding(x.code, x.where, x.values, sentence=f"{x.where}: {x.sentence} {x.remedy}".rstrip())
+        for x in by_severity(_other_findings(knee))
+        if x.severity is Severity.WARNING
+    )
 
 
 def fatal_geometry_findings(knee: Knee) -> tuple[GeometryFinding, ...]:
     """Errors that make the knee unusable; fast enough for every reading."""
     # Metres make the other tests meaningless, and so does a wrong side.
     return (
-        tuple(_metres(knee))
+        tuple(_same_surfaces(knee))
+        or tuple(_metres(knee))
         or tuple(_impossible(knee))
         or tuple(_wrong_side(knee))
         or tuple(_flipped_surfaces(knee))
     )
 
 
+def _other_findings(knee: Knee) -> Iterator[GeometryFinding]:
+    """What is found of a knee that can be used."""
+    for name, surface in _surfaces(knee):
+        yield from _surface_findings(name, surface)
+    yield from _contact_findings(knee)
+    yield from _ligament_findings(knee)
+    yield from _frame_findings(knee)
+    yield from _landmark_findings(knee)
+
+
 def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
     medial, lateral = knee.tibia
     return (("femur", knee.femur), ("tibia_medial", medial), ("tibia_lateral", lateral))
+
+
+def _same_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
+    for (one, first), (other, second) in combinations(_surfaces(knee), 2):
+        if len(first.faces) != len(second.faces) or len(first.vertices) != len(second.vertices):
+            continue
+        mine, others = (x.vertices[np.lexsort(x.vertices.T)] for x in (first, second))
+        if np.array_equal(mine, others):
+            sentence = f"{one} and {other} are the same surface."
+            yield geometry_finding("surfaces-same", other, sentence, {"same_as": one})
 
 
 def _metres(knee: Knee) -> Iterator[GeometryFinding]:
@@ -211,6 +235,11 @@ def _flipped_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
 
 
 def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
+    if clauses := surface.repairs.clauses:
+        mended = surface.repairs
+        values = {x: getattr(mended, x) for x in ("without_area", "twice", "turned", "unused")}
+        sentence = f"Mended on reading: {'; '.join(clauses)}."
+        yield geometry_finding("surface-repaired", name, sentence, values)
     if surface.is_closed:
         sentence = "The surface is closed: it has a bone side as well."
         yield geometry_finding("surface-closed", name, sentence)

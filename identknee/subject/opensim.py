@@ -5,310 +5,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from xml.etree import ElementTree as ET
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike, check_readable
-from identknee.runs.schema import shown
+from identknee.runs.files import PathLike
+from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
-from identknee.subject.knee import Frame, Knee, Landmark, Ligament, Side, groups_by_name
+from identknee.subject.knee import BONES, Frame, Knee, Landmark, Ligament, Side, groups_by_name
+from identknee.subject.opensim_model import (
+    MM_PER_M,
+    Element,
+    Joint,
+    OsimModel,
+    Transform,
+)
 from identknee.subject.surface import Surface, joined, read_surface
 
-Element = ET.Element
-MM_PER_M = 1000.0
-# No length, angle, factor or stiffness of a knee comes near; products of larger ones may overflow.
-LARGEST = 1e9
-# Frames in frames, and functions of functions.
-DEEPEST = 100
-# These joints do not displace anything while their coordinates are zero.
-ZERO_JOINTS = (
-    "WeldJoint",
-    "PinJoint",
-    "SliderJoint",
-    "BallJoint",
-    "FreeJoint",
-    "GimbalJoint",
-    "PlanarJoint",
-    "UniversalJoint",
-)
-
-
-@declared
-class Transform:
-    """Where a frame is in another: ``rotation @ point + translation``, lengths in m."""
-
-    rotation: Array = entry("Rotation, shape ``(3, 3)``")
-    translation: Array = entry("Translation [m], shape ``(3,)``")
-
-    def __matmul__(self, other: "Transform") -> "Transform":
-        return Transform(
-            rotation=self.rotation @ other.rotation, translation=self(other.translation)
-        )
-
-    def __call__(self, points: Array) -> Array:
-        """Points ``(..., 3)`` of this frame [m] in the outer one."""
-        return np.asarray(points @ self.rotation.T + self.translation)
-
-    def moved(self, surface: Surface) -> Surface:
-        """The surface of this frame [m] in the outer one."""
-        return surface.moved(self.rotation, self.translation)
-
-    @property
-    def inverse(self) -> "Transform":
-        """The inverse transform: the outer frame seen from this one."""
-        turned = self.rotation.T
-        return Transform(rotation=turned, translation=-turned @ self.translation)
-
-
-IDENTITY = Transform(rotation=np.eye(3), translation=np.zeros(3))
-
-
-@declared
-class Joint:
-    """A joint between two bodies."""
-
-    name: str = entry("Name of the joint")
-    kind: str = entry("Its class")
-    parent: str = entry("Name of the parent body")
-    child: str = entry("Name of the child body")
-    parent_frame: Transform = entry("Where the joint's frame is in the parent body")
-    child_frame: Transform = entry("Where it is in the child body")
-    element: Element = entry("Its XML")
-
-
-class OsimModel:
-    """An OpenSim 4 model file.
-
-    Attributes
-    ----------
-    path
-        The file.
-    root
-        Its XML.
-    joints
-        All of its joints.
-    """
-
-    def __init__(self, path: PathLike) -> None:
-        self.path: Path = check_readable(path)
-        try:
-            root = ET.parse(self.path).getroot()
-        except (ET.ParseError, ValueError, LookupError) as error:
-            raise InputError(
-                self.path, "", f"this is not valid XML: {error}", "Save the model again."
-            ) from error
-        found = root.find("Model")
-        if root.tag != "OpenSimDocument" or found is None:
-            raise self.refusal("", "this is no OpenSim model", "Give the .osim file of a model.")
-        if not root.get("Version", "").startswith("4"):
-            raise self.refusal(
-                "",
-                f"the file is of version {root.get('Version', '?')}, not of OpenSim 4",
-                "Open it in OpenSim 4 and save it again.",
-            )
-        units = (found.findtext("length_units") or "m").strip()
-        if units not in ("m", "meters"):
-            raise self.refusal(
-                "length_units", f"lengths are in {units}", "Save the model in metres."
-            )
-        self.root: Element = root
-        self._model = found
-        self._offsets = {
-            (joint.get("name", ""), frame.get("name", "")): frame
-            for joint in found.iterfind("JointSet/objects/*")
-            for frame in joint.iterfind("frames/PhysicalOffsetFrame")
-        }
-        self.joints = tuple(self._joint(x) for x in found.iterfind("JointSet/objects/*"))
-
-    def all_of(self, kind: str) -> list[Element]:
-        """All elements of a class that have a name, defaults excepted."""
-        defaults = self._model.find("defaults")
-        known = set() if defaults is None else {id(x) for x in defaults.iter(kind)}
-        return [x for x in self._model.iter(kind) if x.get("name") and id(x) not in known]
-
-    def refusal(self, where: str, why: str, remedy: str) -> InputError:
-        """The error to raise about this file."""
-        return InputError(self.path, where, why, remedy)
-
-    def vector(self, element: Element, tag: str, default: str | None = None) -> Array:
-        """The three numbers of a child element, shape ``(3,)``."""
-        values = self.numbers(element, tag, default)
-        if values.shape != (3,):
-            raise self._malformed(element, tag, "three numbers")
-        return values
-
-    def number(self, element: Element, tag: str) -> float:
-        """The one number of a child element."""
-        values = self.numbers(element, tag)
-        if values.shape != (1,):
-            raise self._malformed(element, tag, "one number")
-        return float(values[0])
-
-    def numbers(self, element: Element, tag: str, default: str | None = None) -> Array:
-        """The finite numbers of a child element."""
-        text = element.findtext(tag, default)
-        try:
-            values = np.array([float(x) for x in (text or "").split()])
-        except ValueError:
-            raise self._malformed(element, tag, "numbers") from None
-        if len(values) == 0 or not np.isfinite(values).all():
-            raise self._malformed(element, tag, "finite numbers")
-        if np.abs(values).max() > LARGEST:
-            raise self._malformed(element, tag, f"numbers up to {LARGEST:g}")
-        return values
-
-    def placed(self, reference: str, joint: str = "", *, depth: int = 0) -> tuple[str, Transform]:
-        """Body of a frame that a socket refers to, and where the frame is in that body.
-
-        Parameters
-        ----------
-        reference
-            A path such as ``/bodyset/femur_r``, or the name of a frame of the joint itself.
-        joint
-            The joint whose socket it is, where it is one's.
-        depth
-            In how many frames it is already.
-        """
-        if depth > DEEPEST:
-            raise self.refusal(
-                joint,
-                f"frames lie in one another more than {DEEPEST} deep, or in a circle",
-                "Open the model in OpenSim 4 and save it.",
-            )
-        parts = [x for x in reference.strip().split("/") if x not in ("", "..", ".")]
-        if not parts:
-            raise self.refusal(
-                joint, "a frame is missing", "Open the model in OpenSim 4 and save it."
-            )
-        owner = parts[-2] if len(parts) > 1 else joint
-        offset = self._offsets.get((owner, parts[-1]))
-        if offset is None:
-            return parts[-1], IDENTITY
-        turns = self.vector(offset, "orientation", "0 0 0")
-        inner = Transform(
-            rotation=_about(0, turns[0]) @ _about(1, turns[1]) @ _about(2, turns[2]),
-            translation=self.vector(offset, "translation", "0 0 0"),
-        )
-        parent = offset.findtext("socket_parent", "")
-        body, outer = self.placed(parent, owner, depth=depth + 1)
-        return body, outer @ inner
-
-    def welded(self, body: str) -> dict[str, Transform]:
-        """The bodies welded to `body`, itself included, each with where it is in `body`."""
-        group = {body: IDENTITY}
-        waiting = [body]
-        welds = [x for x in self.joints if x.kind == "WeldJoint"]
-        while waiting:
-            here = waiting.pop()
-            for weld in welds:
-                across = weld.parent_frame @ weld.child_frame.inverse
-                for near, far, step in (
-                    (weld.parent, weld.child, across),
-                    (weld.child, weld.parent, across.inverse),
-                ):
-                    if near == here and far not in group:
-                        group[far] = group[here] @ step
-                        waiting.append(far)
-        return group
-
-    def displacement(self, joint: Joint) -> Transform:
-        """Where the joint's child frame is in its parent frame, all coordinates being zero."""
-        if joint.kind in ZERO_JOINTS:
-            return IDENTITY
-        axes = {x.get("name"): x for x in joint.element.iterfind("SpatialTransform/TransformAxis")}
-        if joint.kind != "CustomJoint":
-            raise self.refusal(
-                f"joint {joint.name}",
-                f"joints of class {joint.kind} are not supported",
-                "Replace it by a CustomJoint.",
-            )
-        if not axes:
-            raise self.refusal(
-                f"joint {joint.name}",
-                "this CustomJoint has no SpatialTransform",
-                "Give it one with its rotation and translation axes.",
-            )
-        rotation, translation = np.eye(3), np.zeros(3)
-        for i in (1, 2, 3):
-            turn, shift = axes.get(f"rotation{i}"), axes.get(f"translation{i}")
-            if turn is not None:
-                axis = self.vector(turn, "axis")
-                if not axis.any():
-                    raise self._malformed(turn, "axis", "a direction")
-                rotation = rotation @ _turned(axis, self._at_zero(turn, joint.name))
-            if shift is not None:
-                translation = translation + self.vector(shift, "axis") * self._at_zero(
-                    shift, joint.name
-                )
-        return Transform(rotation=rotation, translation=translation)
-
-    def _joint(self, element: Element) -> Joint:
-        name = element.get("name", "")
-        parent, parent_frame = self.placed(element.findtext("socket_parent_frame", ""), name)
-        child, child_frame = self.placed(element.findtext("socket_child_frame", ""), name)
-        return Joint(
-            name=name,
-            kind=element.tag,
-            parent=parent,
-            child=child,
-            parent_frame=parent_frame,
-            child_frame=child_frame,
-            element=element,
-        )
-
-    def _at_zero(self, element: Element, joint: str, *, depth: int = 0) -> float:
-        """Value at zero of the function that an element holds."""
-        function = next((x for x in element if x.get("name") == "function"), None)
-        if function is None:
-            nested = element.find("function")
-            function = nested[0] if nested is not None and len(nested) else None
-        if function is None:
-            return 0.0
-        if function.tag == "Constant":
-            return self.number(function, "value")
-        if function.tag in ("LinearFunction", "PolynomialFunction"):
-            return float(self.numbers(function, "coefficients")[-1])
-        if function.tag == "MultiplierFunction" and depth < DEEPEST:
-            inner = self._at_zero(function, joint, depth=depth + 1)
-            return self.number(function, "scale") * inner
-        if function.tag in ("SimmSpline", "PiecewiseLinearFunction"):
-            x, y = self.numbers(function, "x"), self.numbers(function, "y")
-            # At a knot a spline has the knot's value, whatever its kind.
-            if 0.0 in x and len(x) == len(y):
-                return float(y[np.flatnonzero(x == 0.0)[0]])
-        raise self.refusal(
-            f"joint {joint}",
-            f"its function {function.tag} cannot be evaluated at zero",
-            "Use a constant, a linear function or a spline with a knot at zero.",
-        )
-
-    def _malformed(self, element: Element, tag: str, wanted: str) -> InputError:
-        return self.refusal(
-            f"{element.tag} {element.get('name', '')}".strip(),
-            f"<{tag}> must hold {wanted}, got {shown(element.findtext(tag))}",
-            "Open the model in OpenSim 4 and save it again.",
-        )
-
-
-def _about(axis: int, angle: float) -> Array:
-    return _turned(np.eye(3)[axis], angle)
-
-
-def _turned(axis: Array, angle: float) -> Array:
-    """Rotation by `angle` [rad] about `axis` (3,), by Rodrigues' formula."""
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
-
-
 MESH_CLASSES = ("Smith2018ContactMesh", "ContactMesh")
+CONTACT_LAW = "contact follows the law of identknee, not the modulus and thickness of the model"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -328,8 +48,15 @@ def contact_meshes(model: OsimModel) -> list[Element]:
     return [x for kind in MESH_CLASSES for x in model.all_of(kind)]
 
 
-def bones_of(model: OsimModel) -> Bones:
-    """The joint of the model's only knee with contact meshes, and its bodies.
+def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
+    """The joint of the model's knee with contact meshes, and its bodies.
+
+    Parameters
+    ----------
+    model
+        The model.
+    side
+        Which knee, where it has two; also of which side a knee is whose names do not tell it.
 
     Raises
     ------
@@ -337,15 +64,27 @@ def bones_of(model: OsimModel) -> Bones:
         If there is no such knee, or more than one.
     """
     carriers = {model.placed(x.findtext("socket_frame", ""))[0] for x in contact_meshes(model)}
-    femora = sorted(x for x in carriers if "femur" in x.lower())
-    tibiae = sorted(x for x in carriers if "tibia" in x.lower())
-    for bone, found in (("femur", femora), ("tibia", tibiae)):
+    bodies = {}
+    for bone in BONES:
+        found = sorted(x for x in carriers if bone in x.lower())
+        sides = {side_in(x) for x in found} - {None}
+        if side is not None:
+            found = [x for x in found if side_in(x) in (side, None)]
         if len(found) != 1:
+            of_side = "" if side is None else f"{side} "
+            remedy = f"Give a model of one knee whose {bone} is called so and has a contact mesh."
+            if side is None and len(sides) > 1:
+                remedy = "Choose one with --side left or --side right."
+            elif side is not None and sides:
+                remedy = f"Give another side than --side {side}."
             raise model.refusal(
                 "contact geometry",
-                f"one {bone} with a contact mesh is wanted, found {', '.join(found) or 'none'}",
-                f"Give a model of one knee whose {bone} is called so and has a contact mesh.",
+                f"one {of_side}{bone} with a contact mesh is wanted, found "
+                f"{', '.join(found) or 'none'}",
+                remedy,
             )
+        bodies[bone] = found
+    femora, tibiae = bodies["femur"], bodies["tibia"]
     femoral, tibial = model.welded(femora[0]), model.welded(tibiae[0])
     for joint in model.joints:
         if joint.parent in femoral and joint.child in tibial:
@@ -362,22 +101,38 @@ def bones_of(model: OsimModel) -> Bones:
     return Bones(
         model=model,
         joint=joint,
-        side=_side(model, femora[0], joint.name, tibiae[0]),
+        side=_side(model, side, femora[0], joint.name, tibiae[0]),
         femur={name: to_parent @ place for name, place in femoral.items()},
         tibia={name: to_child @ place for name, place in tibial.items()},
         tibia_frame=tibia_frame,
     )
 
 
-def _side(model: OsimModel, *names: str) -> Side:
+def side_in(name: str) -> Side | None:
+    """The side that a name of the model tells; None where it tells none.
+
+    Examples
+    --------
+    >>> side_in("femur_distal_r"), side_in("leftTibia"), side_in("femur")
+    ('right', 'left', None)
+    """
+    word = r"(?:^|[_\-. ])(r|right|l|left)(?:[_\-. ]|$)"
+    found = re.search(word, name.lower()) or re.search("(right|left)", name.lower())
+    if found is None:
+        return None
+    return "right" if found[1].startswith("r") else "left"
+
+
+def _side(model: OsimModel, stated: Side | None, *names: str) -> Side:
     for name in names:
-        found = re.search(r"(?:^|[_\-. ])(r|right|l|left)(?:[_\-. ]|$)", name.lower())
-        if found:
-            return "right" if found[1].startswith("r") else "left"
+        if (found := side_in(name)) is not None:
+            return found
+    if stated is not None:
+        return stated
     raise model.refusal(
         "bodies",
         f"neither of {', '.join(names)} says which side it is of",
-        "Let the name of the femur end with _r or _l.",
+        "Let the name of the femur end with _r or _l, or state --side.",
     )
 
 
@@ -386,6 +141,20 @@ TRANSITION_STRAIN = 0.06
 # How the bundles of the four single lines begin; the first beginning that occurs is taken, so that
 # the deep and posterior bundles of the medial collateral ligament stay out of its line.
 MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
+
+
+Change = Literal["left out", "changed"]
+
+
+@declared
+class NotTaken:
+    """What of a model has no place in the knee, or stands in it in another way."""
+
+    kind: str = entry("Class of it in the model")
+    names: tuple[str, ...] = entry("Names there")
+    change: Change = entry("Whether it is left out or changed")
+    why: str = entry("What became of it and why, as a clause")
+    is_line: bool = entry("Whether it is a ligament between femur and tibia", default=False)
 
 
 @declared
@@ -405,8 +174,34 @@ class OsimLine:
     ends: Mapping[str, OsimEnd] = entry("Its femoral and its tibial end, by bone")
 
 
-def lines_of(bones: Bones) -> tuple[list[OsimLine], list[str]]:
-    """The ligaments between femur and tibia, and what to say about those not taken exactly.
+def ends_of(bones: Bones, element: Element) -> dict[str, OsimEnd]:
+    """First and last point of a path, by the bone of this knee to which it is attached."""
+    points = element.findall("GeometryPath/PathPointSet/objects/*")
+    ends: dict[str, OsimEnd] = {}
+    for point in (points[0], points[-1]) if len(points) > 1 else ():
+        body, frame = bones.model.placed(point.findtext("socket_parent_frame", ""))
+        for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
+            if body in bodies:
+                ends[bone] = OsimEnd(element=point, frame=bodies[body] @ frame)
+    return ends
+
+
+def is_off(element: Element) -> bool:
+    """Whether a force is switched off in the model."""
+    applies = (element.findtext("appliesForce") or "").strip().lower()
+    disabled = (element.findtext("isDisabled") or "").strip().lower()
+    return applies in ("false", "0") or disabled in ("true", "1")
+
+
+WRAPPED = "straight lines replace paths that wrap or bend"
+OTHER_TOE = f"the transition strain {TRANSITION_STRAIN:g} replaces that of the model"
+CONDITIONAL = "ends that hold in a range of a coordinate alone are taken as fixed"
+OFF = "their force is switched off in the model (appliesForce false)"
+MOVING = "an end moves along its bone, and only fixed ends are read"
+
+
+def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
+    """The ligaments between femur and tibia, and those not taken or not taken exactly.
 
     Raises
     ------
@@ -415,68 +210,109 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[str]]:
     """
     model = bones.model
     lines: list[OsimLine] = []
-    bent, stiffening = [], []
+    told: dict[str, list[str]] = {x: [] for x in (OFF, MOVING, WRAPPED, OTHER_TOE, CONDITIONAL)}
     for element in model.all_of(LIGAMENT_CLASS):
-        points = element.findall("GeometryPath/PathPointSet/objects/*")
-        ends: dict[str, OsimEnd] = {}
-        for point in (points[0], points[-1]) if len(points) > 1 else ():
-            body, frame = model.placed(point.findtext("socket_parent_frame", ""))
-            for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
-                if body in bodies:
-                    ends[bone] = OsimEnd(element=point, frame=bodies[body] @ frame)
+        ends, name = ends_of(bones, element), element.get("name", "")
         if len(ends) < 2:
             continue
-        name = element.get("name", "")
+        kinds = {end.element.tag for end in ends.values()}
+        if is_off(element) or "MovingPathPoint" in kinds:
+            told[OFF if is_off(element) else MOVING].append(name)
+            continue
         places = {x: end.frame(model.vector(end.element, "location")) for x, end in ends.items()}
         ligament = _ligament(model, element, places)
         lines.append(OsimLine(ligament=ligament, element=element, ends=ends))
         wrap = element.find("GeometryPath/PathWrapSet/objects/PathWrap")
-        if len(points) > 2 or wrap is not None:
-            bent.append(name)
+        if len(element.findall("GeometryPath/PathPointSet/objects/*")) > 2 or wrap is not None:
+            told[WRAPPED].append(name)
         if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
-            stiffening.append(name)
+            told[OTHER_TOE].append(name)
+        if "ConditionalPathPoint" in kinds:
+            told[CONDITIONAL].append(name)
     if not lines:
+        off = [*told[OFF], *told[MOVING]]
+        why = f"no {LIGAMENT_CLASS} leads from the femur to the tibia"
+        switched = f"all of class {LIGAMENT_CLASS} are switched off or have a moving end"
         raise model.refusal(
-            "forces",
-            f"no {LIGAMENT_CLASS} leads from the femur to the tibia",
-            "Give a model whose ligaments are of that class.",
+            "forces", switched if off else why, "Give a model whose ligaments are of that class."
         )
-    remarks = []
-    if bent:
-        remarks.append(f"Straight lines replace paths that wrap or bend: {', '.join(bent)}.")
-    if stiffening:
-        remarks.append(f"The transition strain 0.06 replaces that of {', '.join(stiffening)}.")
-    return lines, remarks
+    return lines, [
+        NotTaken(
+            kind=LIGAMENT_CLASS,
+            names=tuple(names),
+            change="left out" if why in (OFF, MOVING) else "changed",
+            why=why,
+            is_line=True,
+        )
+        for why, names in told.items()
+        if names
+    ]
 
 
-def merged(model: OsimModel, ligaments: Sequence[Ligament]) -> list[Ligament]:
+def other_ligaments(bones: Bones) -> list[Element]:
+    """Forces along a path from this femur to this tibia that are of no class that is read."""
+    return [
+        x
+        for x in bones.model.forces
+        if x.tag != LIGAMENT_CLASS
+        and not is_muscle(x)
+        and set(ends_of(bones, x)) == {"femur", "tibia"}
+    ]
+
+
+def is_muscle(force: Element) -> bool:
+    """Whether a force is that of a muscle."""
+    return "Muscle" in force.tag or force.find("max_isometric_force") is not None
+
+
+def merged(
+    model: OsimModel, ligaments: Sequence[Ligament], missing: Sequence[str] = ()
+) -> list[Ligament]:
     """The four single lines, each from the bundles whose names begin with its own.
+
+    Parameters
+    ----------
+    model
+        Where they come from.
+    ligaments
+        The bundles.
+    missing
+        Names of bundles that the model has, but that are not read. A line all of whose bundles are
+        such is left out.
 
     Raises
     ------
     InputError
-        If one of them has no bundle.
+        If one of them has no bundle in the model.
     """
     lines = []
     for name in MERGED:
-        bundle = bundle_names(name, ligaments)
-        if not bundle:
+        bundle = bundle_names(name, ligaments, missing)
+        if bundle:
+            lines.append(line_for(name, bundle))
+        elif not any(_begins(x, y) for x in missing for y in MERGED[name]):
             raise model.refusal(
                 "forces",
                 f"no ligament's name begins with {' or '.join(MERGED[name])}",
                 "Import the bundles separately, or rename them.",
             )
-        lines.append(line_for(name, bundle))
     return lines
 
 
-def bundle_names(name: str, ligaments: Sequence[Ligament]) -> list[Ligament]:
-    """The bundles of one of the four single lines."""
+def bundle_names(
+    name: str, ligaments: Sequence[Ligament], missing: Sequence[str] = ()
+) -> list[Ligament]:
+    """The bundles of one of the four single lines, of those of the model that are read."""
     for beginning in MERGED[name]:
-        bundle = [x for x in ligaments if x.name.lower().startswith(beginning.lower())]
-        if bundle:
+        bundle = [x for x in ligaments if _begins(x.name, beginning)]
+        # Deep bundles must not stand for superficial ones that are not read.
+        if bundle or any(_begins(x, beginning) for x in missing):
             return bundle
     return []
+
+
+def _begins(name: str, beginning: str) -> bool:
+    return name.lower().startswith(beginning.lower())
 
 
 def line_for(name: str, bundle: Sequence[Ligament]) -> Ligament:
@@ -532,14 +368,31 @@ def _ligament(model: OsimModel, element: Element, ends: Mapping[str, Array]) -> 
 CRUMB_SHARE = 0.01
 
 
-def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "separate") -> Knee:
+@declared
+class ImportedKnee:
+    """A knee of an OpenSim model, and what of the model is not in it."""
+
+    knee: Knee = entry("The knee")
+    bones: Bones = entry("Its joint and bodies in the model")
+    not_taken: tuple[NotTaken, ...] = entry("What of its ligaments and meshes is not in it")
+
+
+def import_opensim(
+    path: PathLike,
+    *,
+    bundles: Literal["separate", "merged"] = "separate",
+    side: Side | None = None,
+) -> Knee:
     """The knee of an OpenSim 4 model, all joint coordinates being zero.
 
     The femur is the body named so that carries a contact mesh, the tibia likewise; one joint
     connects them, perhaps with welds in between. Its two frames become the frames of the bones, in
     mm. Every ``Blankevoort1991Ligament`` from one to the other becomes a straight line, its
     reference strain following from its slack length; which of them wrapped or had further points
-    is listed in the description. Contact meshes are looked for beside the file and in ``Geometry``.
+    is listed in the description. One whose force is switched off is left out, and so are other
+    classes; the command lists them. Contact meshes are looked for beside the file and in
+    ``Geometry``, whatever the case of their names. A tibial mesh in one piece is cut between the
+    plateaus.
 
     Parameters
     ----------
@@ -549,7 +402,9 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
         ``"separate"`` for the ligaments as they are, those tied that are called alike but for a
         number at the end; ``"merged"`` for ACL, PCL, LCL and (superficial) MCL alone, each the
         mean of its bundles' insertions, the sum of their stiffnesses and the mean of their strains
-        weighted by stiffness.
+        weighted by stiffness. A line whose bundles are all left out is left out, too.
+    side
+        ``"right"`` or ``"left"``, where the model has both knees.
 
     Raises
     ------
@@ -562,21 +417,53 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
+    return imported_knee(path, bundles=bundles, side=side).knee
+
+
+def imported_knee(
+    path: PathLike,
+    *,
+    bundles: Literal["separate", "merged"] = "separate",
+    side: Side | None = None,
+) -> ImportedKnee:
+    """The knee as `import_opensim` gives it, with what of its ligaments and meshes is not in it.
+
+    Raises
+    ------
+    InputError
+        As `import_opensim` does.
+    """
     if bundles not in ("separate", "merged"):
         raise ValueError(f'bundles must be "separate" or "merged", got {bundles!r}')
+    if side not in ("right", "left", None):
+        raise ValueError(f'side must be "right" or "left", got {side!r}')
     model = OsimModel(opensim_file(path))
-    bones = bones_of(model)
+    bones = bones_of(model, side)
     meshes = contact_meshes(model)
-    lines, remarks = lines_of(bones)
+    lines, not_taken = lines_of(bones)
     ligaments = [x.ligament for x in lines]
+    told = [f"{capitalised(x.why)}: {', '.join(x.names)}." for x in not_taken]
     if bundles == "merged":
-        ligaments = merged(model, ligaments)
+        missing = [name for x in not_taken if x.change == "left out" for name in x.names]
+        missing += [x.get("name", "") for x in other_ligaments(bones)]
+        used = [y.name for x in MERGED for y in bundle_names(x, ligaments, missing)]
+        rest = tuple(x.name for x in ligaments if x.name not in used)
+        if rest:
+            why = "it belongs to none of the four lines"
+            beside = NotTaken(kind=LIGAMENT_CLASS, names=rest, change="left out", why=why)
+            not_taken = [*not_taken, beside]
+        ligaments = merged(model, ligaments, missing)
+    _check_files(bones, meshes)
+    femur, about_femur = _meshes(model, meshes, bones.femur)
+    tibia, about_tibia = _meshes(model, meshes, bones.tibia)
+    _check_axes(bones, [x.ligament for x in lines], femur, tibia)
+    plateaus, about_plateaus = _plateaus(bones, femur, tibia)
     knee = Knee(
         name=model.path.stem,
         side=bones.side,
-        description=" ".join([f"Imported from {model.path.name}.", *remarks]),
-        femur=joined(*_meshes(model, meshes, bones.femur)),
-        tibia=_plateaus(bones, joined(*_meshes(model, meshes, bones.tibia))),
+        description=" ".join([f"Imported from {model.path.name}.", *told]),
+        femur=femur,
+        tibia=plateaus,
         ligaments=tuple(ligaments),
         groups=groups_by_name(ligaments) if bundles == "separate" else (),
         femur_frame=Frame(origin=np.zeros(3), axes=np.eye(3)),
@@ -589,14 +476,41 @@ def import_opensim(path: PathLike, *, bundles: Literal["separate", "merged"] = "
         knee = knee.mirrored()
     for finding in fatal_geometry_findings(knee):
         raise InputError(model.path, finding.where, finding.sentence, finding.remedy)
-    return knee
+    return ImportedKnee(
+        knee=knee,
+        bones=bones,
+        not_taken=(*not_taken, *about_femur, *about_tibia, *about_plateaus),
+    )
+
+
+def _check_files(bones: Bones, meshes: Sequence[Element]) -> None:
+    """Refuse one file for both bones."""
+    model = bones.model
+    owner: dict[Path, str] = {}
+    for mesh in meshes:
+        body, _ = model.placed(mesh.findtext("socket_frame", ""))
+        for bone, bodies in (("femur", bones.femur), ("tibia", bones.tibia)):
+            if body in bodies:
+                file = mesh_file(model, mesh, file_of(mesh))
+                if owner.setdefault(file, bone) != bone:
+                    raise model.refusal(
+                        f"contact mesh {mesh.get('name')}",
+                        f"femur and tibia have the same mesh file, {file.name}",
+                        "Give each bone its own file.",
+                    )
+
+
+def file_of(mesh: Element) -> str:
+    """The name of its file that a mesh states; empty without one."""
+    return (mesh.findtext("mesh_file") or mesh.findtext("filename") or "").strip()
 
 
 def _meshes(
     model: OsimModel, meshes: Sequence[Element], bodies: dict[str, Transform]
-) -> list[Surface]:
-    """The contact meshes of some bodies in the common frame [mm]."""
-    surfaces = []
+) -> tuple[Surface, list[NotTaken]]:
+    """The contact meshes of some bodies in the common frame [mm], and what was mended in them."""
+    surfaces: list[Surface] = []
+    told = []
     for mesh in meshes:
         body, frame = model.placed(mesh.findtext("socket_frame", ""))
         if body not in bodies:
@@ -608,16 +522,34 @@ def _meshes(
                     f"its {tag} is not zero",
                     "Move the mesh in its file instead.",
                 )
-        name = (mesh.findtext("mesh_file") or mesh.findtext("filename") or "").strip()
-        surface = read_surface(mesh_file(model, mesh, name))
+        file = mesh_file(model, mesh, file_of(mesh))
+        surface = read_surface(file)
         factors = model.vector(mesh, "scale_factors", "1 1 1")
-        scaled = Surface(vertices=surface.vertices * factors, faces=surface.faces)
-        surfaces.append((bodies[body] @ frame).moved(scaled).scaled(MM_PER_M))
-    return surfaces
+        is_mirrored = bool(factors.prod() < 0.0)
+        # A mirror turns triangles round, whose normals must stay outward.
+        faces = surface.faces[:, ::-1] if is_mirrored else surface.faces
+        scaled = Surface(vertices=surface.vertices * factors, faces=faces)
+        placed = (bodies[body] @ frame).moved(scaled).scaled(MM_PER_M)
+        if any(np.array_equal(placed.vertices, x.vertices) for x in surfaces):
+            told.append(_told(mesh, "left out", "the same surface is given twice"))
+            continue
+        surfaces.append(placed)
+        if is_mirrored:
+            why = "its scale factors mirror it, and its triangles are turned so that they face out"
+            told.append(_told(mesh, "changed", why))
+        if clauses := surface.repairs.clauses:
+            told.append(_told(mesh, "changed", f"{file.name} was mended: {'; '.join(clauses)}"))
+    return joined(*surfaces), told
+
+
+def _told(element: Element, change: Change, why: str) -> NotTaken:
+    return NotTaken(kind=element.tag, names=(element.get("name", ""),), change=change, why=why)
 
 
 def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
     """The file of a mesh, beside the model or in its folder ``Geometry``.
+
+    A name from Windows has backslashes, and upper and lower case that do not count there.
 
     Raises
     ------
@@ -625,9 +557,10 @@ def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
         If it is in neither.
     """
     folder = model.path.parent
-    for candidate in (folder / name, folder / "Geometry" / Path(name).name):
-        if name and candidate.is_file():
-            return candidate
+    parts = [x for x in name.replace("\\", "/").split("/") if x not in ("", ".")]
+    for way in (parts, ["Geometry", *parts], ["Geometry", *parts[-1:]], parts[-1:]):
+        if parts and (found := _whatever_case(folder, way)) is not None:
+            return found
     raise model.refusal(
         f"contact mesh {mesh.get('name')}",
         f"its file {name or '(no name)'} is neither beside the model nor in Geometry",
@@ -635,29 +568,182 @@ def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
     )
 
 
-def _plateaus(bones: Bones, tibia: Surface) -> tuple[Surface, Surface]:
-    """The medial and the lateral part of a tibial surface of two unconnected parts."""
-    n, ends = len(tibia.vertices), tibia.edges
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    number, label = connected_components(graph, directed=False)
-    parts = []
-    for part in range(number):
-        chosen = label == part
-        faces = tibia.faces[chosen[tibia.faces[:, 0]]]
-        if len(faces):
-            renumbered = (np.cumsum(chosen) - 1)[faces]
-            parts.append(Surface(vertices=tibia.vertices[chosen], faces=renumbered))
-    parts = sorted(parts, key=lambda x: x.areas.sum(), reverse=True)
-    parts = [x for x in parts if x.areas.sum() > CRUMB_SHARE * tibia.areas.sum()]
+def _whatever_case(folder: Path, parts: Sequence[str]) -> Path | None:
+    """The file below a folder, its parts as written or else in another case; None without one."""
+    if not parts:
+        return folder if folder.is_file() else None
+    if (folder / parts[0]).exists() or parts[0] == "..":
+        return _whatever_case(folder / parts[0], parts[1:])
+    try:
+        names = sorted(x.name for x in folder.iterdir())
+    except OSError:
+        return None
+    alike = [x for x in names if x.casefold() == parts[0].casefold()]
+    ways = (_whatever_case(folder / x, parts[1:]) for x in alike)
+    return next((x for x in ways if x is not None), None)
+
+
+# Axes of a bone that are farther off those wanted [cosine] are other axes.
+LEAST_COSINE = 0.7
+AXES = np.eye(3)
+WANTED = "Turn the frames of the joint in the model: x anterior, y superior, z to the right."
+
+
+def _check_axes(
+    bones: Bones, ligaments: Sequence[Ligament], femur: Surface, tibia: Surface
+) -> None:
+    """Refuse a joint whose frame on the femur is not anterior, superior and to the right."""
+    lateral = AXES[2] * (1.0 if bones.side == "right" else -1.0)
+    joint = bones.joint
+    flexion = _flexion_axis(bones)
+    if flexion is not None and abs(flexion @ lateral) < LEAST_COSINE:
+        raise bones.model.refusal(
+            f"joint {joint.name}",
+            f"its flexion axis is {_axis_word(flexion)} of its frame on {joint.parent}, and must "
+            "be lateral, which is z",
+            WANTED,
+        )
+    ends = {"MCL": _mean_end(ligaments, "MCL", "sMCL", "dMCL"), "LCL": _mean_end(ligaments, "LCL")}
+    medial = tibia.centroid if ends["MCL"] is None else ends["MCL"]
+    outer = tibia.centroid if ends["LCL"] is None else ends["LCL"]
+    up = femur.centroid - tibia.centroid
+    facing = tibia.areas @ tibia.normals / tibia.areas.sum()
+    if np.linalg.norm(facing) > LEAST_COSINE:
+        # The plateaus face up, wherever the middle of the femur's surface is.
+        up = facing * np.sign(facing @ up)
+    across = outer - medial
+    is_known = any(x is not None for x in ends.values())
+    if up @ AXES[1] < LEAST_COSINE * np.linalg.norm(up):
+        found = f"up is {_axis_word(up)}, and must be +y"
+    elif is_known and across @ lateral < LEAST_COSINE * np.linalg.norm(across[[0, 2]]):
+        known = " to ".join(name for name, x in ends.items() if x is not None)
+        found = (
+            f"lateral, as {known} says, is {_axis_word(across)}, and must be "
+            f"{_axis_word(lateral)} in a {bones.side} knee"
+        )
+    else:
+        return
+    raise bones.model.refusal(
+        f"joint {joint.name}", f"in its frame on {joint.parent} {found}", WANTED
+    )
+
+
+def _axis_word(direction: Array) -> str:
+    """The axis that is closest to a direction.
+
+    Examples
+    --------
+    >>> _axis_word(np.array([0.1, -3.0, 0.2]))
+    '-y'
+    """
+    k = int(np.argmax(np.abs(direction)))
+    return f"{'-' if direction[k] < 0.0 else '+'}{'xyz'[k]}"
+
+
+def _flexion_axis(bones: Bones) -> Array | None:
+    """The axis about which the joint flexes, of length 1; None where none can be told."""
+    turns = [
+        x
+        for x in bones.joint.element.iterfind("SpatialTransform/TransformAxis")
+        if x.get("name", "").startswith("rotation") and (x.findtext("coordinates") or "").strip()
+    ]
+    called = [
+        x
+        for x in turns
+        if re.search("flex|knee_angle|extension", (x.findtext("coordinates") or "").lower())
+    ]
+    for turn in (*called[:1], *turns[:1]):
+        axis = bones.model.vector(turn, "axis")
+        if (length := float(np.linalg.norm(axis))) > 0.0:
+            return axis / length
+    return None
+
+
+def _mean_end(ligaments: Sequence[Ligament], *beginnings: str) -> Array | None:
+    """Middle of the ligaments whose names begin so [mm]; None without one."""
+    own = [x for x in ligaments if any(_begins(x.name, y) for y in beginnings)]
+    return np.mean([(x.femur + x.tibia) / 2.0 for x in own], axis=0) if own else None
+
+
+# A surface in one piece spans both plateaus if it is at least this share as wide as the femur.
+LEAST_WIDTH = 0.6
+# The plateaus are divided within the middle of the surface; each is at least this share of it.
+MIDDLE, LEAST_SHARE, SLICES = (0.35, 0.65), 0.2, 31
+
+
+def _plateaus(
+    bones: Bones, femur: Surface, tibia: Surface
+) -> tuple[tuple[Surface, Surface], list[NotTaken]]:
+    """The medial and the lateral part of a tibial surface, and what was done to get them."""
+    found = _parts(tibia)
+    parts = [x for x in found if x.areas.sum() > CRUMB_SHARE * tibia.areas.sum()]
+    told, kind = [], "contact mesh of the tibia"
+    if crumbs := len(found) - len(parts):
+        why = f"each has less than {CRUMB_SHARE:.0%} of its area"
+        names = tuple(f"piece {i + 1}" for i in range(crumbs))
+        told.append(NotTaken(kind=kind, names=names, change="left out", why=why))
+    to_right = bones.tibia_frame.rotation[:, 2]
+    if len(parts) == 1:
+        (whole,) = parts
+        middle = _cut(bones, femur, whole, to_right)
+        is_left = whole.vertices[whole.faces].mean(axis=1) @ to_right < middle
+        parts = [_part(whole, is_left), _part(whole, ~is_left)]
+        why = f"one piece, cut between the plateaus at z = {middle:.1f} mm of the common frame"
+        told.append(NotTaken(kind=kind, names=("tibia",), change="changed", why=why))
     if len(parts) != 2:
         raise bones.model.refusal(
             "contact geometry",
             f"the tibial mesh has {len(parts)} unconnected parts, not a medial and a lateral one",
             "Cut the mesh between the plateaus and remove everything else.",
         )
-    to_right = bones.tibia_frame.rotation[:, 2]
     left, right = sorted(parts, key=lambda x: float(x.centroid @ to_right))
-    return (left, right) if bones.side == "right" else (right, left)
+    return ((left, right) if bones.side == "right" else (right, left)), told
+
+
+def _cut(bones: Bones, femur: Surface, tibia: Surface, to_right: Array) -> float:
+    """Where between the plateaus a tibial surface in one piece is narrowest [mm]."""
+    along = tibia.vertices[tibia.faces].mean(axis=1) @ to_right
+    width, of_femur = np.ptp(tibia.vertices @ to_right), np.ptp(femur.vertices @ to_right)
+    low, high = along.min() + np.array(MIDDLE) * np.ptp(along)
+    edges = np.linspace(low, high, SLICES + 1)
+    area = np.histogram(along, edges, weights=tibia.areas)[0]
+    # Of slices that are equally narrow the one in the middle.
+    middles = (edges[1:] + edges[:-1]) / 2.0
+    narrow = middles[area <= area.min() + 1e-9 * tibia.areas.sum()]
+    middle = float(narrow[np.argmin(np.abs(narrow - (low + high) / 2.0))])
+    share = float(tibia.areas[along < middle].sum() / tibia.areas.sum())
+    if tibia.is_closed:
+        why = "the tibial mesh is one closed surface, with the bone's side as well"
+    elif width < LEAST_WIDTH * of_femur:
+        why = (
+            f"the tibial mesh is one piece {width:.0f} mm wide beside a femur of {of_femur:.0f} mm:"
+            " it has one plateau"
+        )
+    elif min(share, 1.0 - share) < LEAST_SHARE:
+        why = "the tibial mesh is one piece, and no place between two plateaus is found in it"
+    else:
+        return middle
+    raise bones.model.refusal(
+        "contact geometry", why, "Give the articular sides of both plateaus, and nothing else."
+    )
+
+
+def _parts(surface: Surface) -> list[Surface]:
+    """The unconnected parts of a surface, the largest first."""
+    n, ends = len(surface.vertices), surface.edges
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    number, label = connected_components(graph, directed=False)
+    of_face = label[surface.faces[:, 0]]
+    parts = [_part(surface, of_face == x) for x in range(number) if (of_face == x).any()]
+    return sorted(parts, key=lambda x: x.areas.sum(), reverse=True)
+
+
+def _part(surface: Surface, chosen: BoolArray) -> Surface:
+    """Some of the triangles of a surface with their vertices, in their order."""
+    faces = surface.faces[chosen]
+    is_used = np.zeros(len(surface.vertices), bool)
+    is_used[faces] = True
+    return Surface(vertices=surface.vertices[is_used], faces=(np.cumsum(is_used) - 1)[faces])
 
 
 def _landmarks(bones: Bones) -> tuple[Landmark, ...]:

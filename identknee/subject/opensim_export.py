@@ -18,20 +18,20 @@ from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.opensim import (
     LIGAMENT_CLASS,
     MERGED,
-    MM_PER_M,
     TRANSITION_STRAIN,
     Bones,
-    Element,
     OsimLine,
-    OsimModel,
     bones_of,
     bundle_names,
+    file_of,
     import_opensim,
     line_for,
     lines_of,
     mesh_file,
+    other_ligaments,
     slack_length,
 )
+from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
 from identknee.subject.surface import write_surface
 
 # Transform axis, coordinate, direction and value in the scanned pose [rad, m].
@@ -185,7 +185,7 @@ def write_opensim(knee: Knee, folder: PathLike, *, source: PathLike | None = Non
     if source is None:
         return write_minimal_model(knee, target)
     model = OsimModel(opensim_file(source))
-    bones = bones_of(model)
+    bones = bones_of(model, knee.side)
     written = knee.mirrored() if knee.side == "left" else knee
     _check_same(knee, model)
     parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True, insert_pis=True))
@@ -208,7 +208,7 @@ def write_opensim(knee: Knee, folder: PathLike, *, source: PathLike | None = Non
                 _set(copies[id(end.element)], "location", *end.frame.inverse(place / MM_PER_M))
     # The meshes that the model names and that lie where it looks for them.
     for element in model.root.iter():
-        name = (element.findtext("mesh_file") or element.findtext("filename") or "").strip()
+        name = file_of(element)
         with suppress(InputError):
             if name:
                 found = mesh_file(model, element, name)
@@ -226,7 +226,7 @@ def write_opensim(knee: Knee, folder: PathLike, *, source: PathLike | None = Non
 
 def _check_same(knee: Knee, model: OsimModel) -> None:
     """Refuse a knee whose bones are not those of the model: its ligaments would end elsewhere."""
-    own = import_opensim(model.path)
+    own = import_opensim(model.path, side=knee.side)
     pairs = [(knee.femur_frame, own.femur_frame), (knee.tibia_frame, own.tibia_frame)]
     turned = max(np.abs(x.axes - y.axes).max() for x, y in pairs)
     shifted = max(np.abs(x.origin - y.origin).max() for x, y in pairs)
@@ -241,13 +241,16 @@ def _check_same(knee: Knee, model: OsimModel) -> None:
 
 def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
     """The model's lines that the knee speaks of, with what they are to be."""
-    lines = {x.ligament.name: x for x in lines_of(bones)[0]}
+    found, not_taken = lines_of(bones)
+    lines = {x.ligament.name: x for x in found}
+    missing = [name for x in not_taken if x.change == "left out" for name in x.names]
+    missing += [x.get("name", "") for x in other_ligaments(bones)]
     ligaments = [x.ligament for x in lines.values()]
     for wanted in knee.ligaments:
         if wanted.name in lines:
             yield lines[wanted.name], wanted
             continue
-        bundle = bundle_names(wanted.name, ligaments) if wanted.name in MERGED else []
+        bundle = bundle_names(wanted.name, ligaments, missing) if wanted.name in MERGED else []
         if not bundle:
             raise bones.model.refusal(
                 "forces",

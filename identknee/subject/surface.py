@@ -1,11 +1,7 @@
 """Triangulated surfaces: their geometry, and the files they come from."""
 
-import io
-import logging
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +17,10 @@ from identknee.runs.arrays import (
 )
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
+from identknee.subject.mesh_files import PARSERS, read_mesh
+from identknee.subject.mesh_repair import NOTHING, Repairs, repaired
 
-FORMATS = (".stl", ".ply", ".obj")
-# A null handler keeps the parser's log off the terminal; its errors become our own.
-logging.getLogger("trimesh").addHandler(logging.NullHandler())
+WRITTEN = (".stl", ".ply", ".obj")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,6 +33,8 @@ class Surface:
         Positions [mm], shape ``(n, 3)``.
     faces
         Vertex numbers of each triangle, counter-clockwise seen from outside the bone, ``(m, 3)``.
+    repairs
+        What was mended when it was read.
     normals
         Unit outward normal of each triangle, shape ``(m, 3)``; zero where it has no area.
     areas
@@ -47,6 +45,7 @@ class Surface:
 
     vertices: Array
     faces: IntArray
+    repairs: Repairs = field(default=NOTHING, repr=False)
     normals: Array = field(init=False, repr=False)
     areas: Array = field(init=False, repr=False)
     vertex_areas: Array = field(init=False, repr=False)
@@ -99,15 +98,16 @@ class Surface:
     def moved(self, rotation: ArrayLike, translation: ArrayLike) -> "Surface":
         """A copy at ``rotation @ vertex + translation``."""
         turned = self.vertices @ np.asarray(rotation, float).T
-        return Surface(vertices=turned + np.asarray(translation, float), faces=self.faces)
+        return replace(self, vertices=turned + np.asarray(translation, float))
 
     def scaled(self, factor: float) -> "Surface":
         """A copy `factor` (> 0) times as large, about the origin."""
-        return Surface(vertices=self.vertices * factor, faces=self.faces)
+        return replace(self, vertices=self.vertices * factor)
 
     def mirrored(self) -> "Surface":
         """A copy seen in the mirror z = 0; its normals still point outward."""
-        return Surface(vertices=self.vertices * [1.0, 1.0, -1.0], faces=self.faces[:, ::-1])
+        mirror = self.vertices * [1.0, 1.0, -1.0]
+        return replace(self, vertices=mirror, faces=self.faces[:, ::-1])
 
 
 def joined(*surfaces: Surface) -> Surface:
@@ -116,35 +116,37 @@ def joined(*surfaces: Surface) -> Surface:
     return Surface(
         vertices=np.concatenate([x.vertices for x in surfaces]),
         faces=np.concatenate([x.faces + i for x, i in zip(surfaces, starts, strict=True)]),
+        repairs=sum((x.repairs for x in surfaces), NOTHING),
     )
 
 
 def read_surface(path: PathLike) -> Surface:
-    """The surface in an STL (text or binary), PLY or OBJ file, lengths as they stand there.
+    """The surface in an STL, PLY, OBJ or VTP file (text or binary), lengths as they stand there.
 
-    Vertices at exactly the same place become one, in the order they first appear; vertices of no
-    triangle are dropped.
+    Vertices at exactly the same place become one, in the order they first appear. What is left out
+    or turned round stands in its `repairs`: triangles without area or given twice, triangles wound
+    otherwise than most of their surface, vertices of no triangle, and what of the file is not read.
 
     Raises
     ------
     InputError
-        If the file is missing, is none of these formats, cannot be parsed or holds no triangle or
-        a vertex that is not a number.
+        If the file is missing, is none of these formats, cannot be parsed, is cut off or holds no
+        triangle or a vertex that is not a number.
     """
     file = check_readable(path)
-    if file.suffix.lower() not in FORMATS:
+    if file.suffix.lower() not in PARSERS:
         raise InputError(
             file,
             "",
             f"surfaces of type {file.suffix or 'without ending'} are not read",
-            "Export the surface as STL, PLY or OBJ.",
+            "Export the surface as STL, PLY, OBJ or VTP.",
         )
-    vertices, faces = _parsed(file)
-    if len(faces) == 0:
+    mesh = read_mesh(file)
+    if len(mesh.faces) == 0:
         raise InputError(
             file, "", "there is no triangle in it", "Export the surface, not points or an outline."
         )
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    bad = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
     if len(bad) > 0:
         raise InputError(
             file,
@@ -153,7 +155,11 @@ def read_surface(path: PathLike) -> Surface:
             "Repair the mesh and export it again.",
         )
     try:
-        return _merged(vertices, faces)
+        _check(mesh.vertices, mesh.faces)
+        vertices, faces, found = repaired(mesh.vertices, mesh.faces, is_soup=mesh.is_soup)
+        return Surface(
+            vertices=vertices, faces=faces, repairs=found + Repairs(remarks=mesh.remarks)
+        )
     except ValueError as error:
         raise InputError(file, "", str(error), "Repair the mesh and export it again.") from error
 
@@ -171,7 +177,7 @@ def write_surface(surface: Surface, path: PathLike) -> Path:
     """
     target = Path(path)
     kind = target.suffix.lower()
-    if kind not in FORMATS:
+    if kind not in WRITTEN:
         raise InputError(
             target, "", f"surfaces are not written as {kind!r}", "Use .ply, .stl or .obj."
         )
@@ -199,54 +205,6 @@ def _check(vertices: Array, faces: IntArray) -> None:
             f"faces must number the {len(vertices)} vertices from 0, "
             f"got {faces.min()} to {faces.max()}"
         )
-
-
-def _parsed(file: Path) -> tuple[Array, IntArray]:
-    """Vertices and faces of a file as the parser gives them."""
-    import trimesh
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mesh: Any = trimesh.load_mesh(
-                io.BytesIO(file.read_bytes()),
-                file_type=file.suffix[1:].lower(),
-                process=False,
-                **({"skip_materials": True} if file.suffix.lower() == ".obj" else {}),
-            )
-            if isinstance(mesh, trimesh.Scene):
-                mesh = trimesh.util.concatenate(tuple(mesh.geometry.values()))
-            vertices = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), float)
-            faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64)
-    except Exception as error:
-        # The parser raises errors of many types, some of its own.
-        raise InputError(
-            file,
-            "",
-            f"this is no {file.suffix[1:].upper()} file that can be read "
-            f"({type(error).__name__}: {' '.join(str(error).split())[:120]})",
-            "Export the surface again.",
-        ) from error
-    return vertices, faces
-
-
-def _merged(vertices: Array, faces: IntArray) -> Surface:
-    """The surface of the vertices that triangles use, each place once, in order of appearance."""
-    _check(vertices, faces)
-    is_used = np.zeros(len(vertices), bool)
-    is_used[faces] = True
-    # Adding zero turns -0.0 into 0.0.
-    places = vertices[is_used] + 0.0
-    order = np.lexsort(places.T)
-    is_new = np.r_[True, (places[order[1:]] != places[order[:-1]]).any(axis=1)]
-    # Of vertices at one place the first comes first, as the sort is stable.
-    first = order[is_new]
-    rank = np.empty(len(first), np.int64)
-    appearing = np.argsort(first)
-    rank[appearing] = np.arange(len(first))
-    number = np.empty(len(vertices), np.int64)
-    number[np.flatnonzero(is_used)[order]] = rank[np.cumsum(is_new) - 1]
-    return Surface(vertices=places[first[appearing]], faces=number[faces])
 
 
 def _ply(surface: Surface) -> bytes:

@@ -20,8 +20,9 @@ from identknee.runs.findings import Severity
 from identknee.subject.check import GeometryFinding, check_geometry
 from identknee.subject.examples import NAMED_SUBJECTS, opensim_file
 from identknee.subject.folder import example, write_subject
-from identknee.subject.knee import Knee
-from identknee.subject.opensim import import_opensim
+from identknee.subject.knee import Knee, Side
+from identknee.subject.opensim import NotTaken, imported_knee
+from identknee.subject.opensim_left_out import left_out_of
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import argument, documented, option, trials_option
@@ -70,6 +71,7 @@ class ImportOptions(options.OutOption, total=False):
 
     osim: Annotated[Path, option("The model.")]
     bundles: Annotated[str, option("How bundles are kept.")]
+    side: Annotated[str | None, option("Which knee, where it was asked for.")]
 
 
 @declared
@@ -102,6 +104,15 @@ class SubjectFacts(Answer):
     ligaments: tuple[LigamentFacts, ...] = entry("The ligaments", rows="ligament", group="subject")
 
     written: tuple[str, ...] = entry("Files written for other tools", default=())
+
+
+@declared
+class ImportedSubject(SubjectFacts):
+    """A subject made from a model, and what of the model is not in it."""
+
+    left_out: tuple[NotTaken, ...] = entry(
+        "What of the model was left out or changed, by class", default=()
+    )
 
 
 def subject_facts_of(knee: Knee) -> dict[str, Any]:
@@ -162,19 +173,38 @@ def import_subject(
     bundles: Annotated[
         Bundles, option("Keep the bundles separate, or merge them to four single lines.")
     ] = "separate",
+    side: Annotated[Side | None, option("Which knee to take, where the model has both.")] = None,
     out: options.Out = None,
-) -> SubjectFacts:
-    """The knee of an OpenSim model, written as a subject folder."""
-    knee = import_opensim(file, bundles=bundles)
-    return _import(knee, osim=opensim_file(file), bundles=bundles, out=out)
+) -> ImportedSubject:
+    """The knee of an OpenSim model, written as a subject folder.
+
+    Lists what of the model was left out or changed.
+    """
+    found = imported_knee(file, bundles=bundles, side=side)
+    return _import(
+        found.knee,
+        left_out=left_out_of(found),
+        osim=opensim_file(file),
+        bundles=bundles,
+        side=side,
+        out=out,
+    )
 
 
 @verb
-@recorded_as("subject import-osim")
-def _import(run: Run, subject: options.Subject, **_: Unpack[ImportOptions]) -> SubjectFacts:
+@recorded_as("subject import-osim", secret=("left_out",))
+def _import(
+    run: Run,
+    subject: options.Subject,
+    *,
+    left_out: Annotated[
+        Sequence[NotTaken], option("What is not in the knee.", is_typed=False)
+    ] = (),
+    **_: Unpack[ImportOptions],
+) -> ImportedSubject:
     if run.out is not None:
         write_subject(subject, run.out)
-    return SubjectFacts(**subject_facts_of(subject))
+    return ImportedSubject(**subject_facts_of(subject), left_out=tuple(left_out))
 
 
 PROPOSAL = (

@@ -18,10 +18,12 @@ from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
 from identknee.runs.files import digest, prepare_folder
-from identknee.runs.findings import without_repeats
+from identknee.runs.findings import Finding, without_repeats
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import record
 from identknee.runs.store import Store, finish_work, open_work
+from identknee.subject.check import geometry_warnings
+from identknee.subject.examples import named_subject
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.verbs import options
@@ -206,6 +208,10 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
                     question=question(name, read["subject"], run.trials, bound.arguments),
                     findings=without_repeats((*result.findings, *run.trials.findings)),
                 )
+            warned = _subject_warnings(bound.arguments, read)
+            if warned:
+                told = without_repeats((*result.findings, *warned))
+                result = replace(result, findings=told)
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.
@@ -285,6 +291,17 @@ def _run(
             _stack=stack,
         )
         yield run, read, recording
+
+
+def _subject_warnings(arguments: Mapping[str, Any], read: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """What the check of the subject warns of, for verbs that load it.
+
+    Of the knees that come with identknee there is nothing to warn of, which tests see to.
+    """
+    is_loaded = "data" in arguments or "protocol" in arguments
+    if "subject" not in read or not is_loaded or named_subject(arguments["subject"]) is not None:
+        return ()
+    return geometry_warnings(read["subject"])
 
 
 def _name_and_secret(function: Callable[..., Any]) -> tuple[str, frozenset[str]]:

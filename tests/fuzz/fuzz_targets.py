@@ -34,6 +34,7 @@ from identknee.laxity.table import Laxity, add_noise, read_laxity, write_laxity
 from identknee.model.effects.library import effects_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
+from identknee.report.export import polydata
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.runs.files import digest
@@ -42,7 +43,7 @@ from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import EffectChoice
 from identknee.subject.opensim import import_opensim
 from identknee.subject.reference import reference_knee
-from identknee.subject.surface import read_surface, write_surface
+from identknee.subject.surface import Surface, read_surface, write_surface
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -95,6 +96,7 @@ def base() -> Path:
     write_subject(small_knee(), folder / "small")
     for kind in ("stl", "ply", "obj"):
         write_surface(knee.tibia[0], folder / f"surface.{kind}")
+    (folder / "surface.vtp").write_bytes(_vtp(knee.tibia[0]))
     laxity = _laxity()
     write_laxity(laxity, folder / "data.csv")
     write_model(folder, knee)
@@ -195,6 +197,12 @@ def _surface(kind: str) -> Callable[[bytes, Path], str]:
     return reads(read_surface, f"surface.{kind}")
 
 
+def _vtp(surface: Surface) -> bytes:
+    own = np.zeros(len(surface.faces))
+    none = np.zeros((0, 2), int)
+    return polydata(surface.vertices, none, surface.faces, {"gap_mm": own}, {"trial": ["a"]})
+
+
 def _ascii_stl() -> bytes:
     surface = read_surface(base() / "surface.stl")
     lines = ["solid x"]
@@ -225,6 +233,8 @@ def _meshes(kind: str) -> Strategy:
     whole = _of(f"surface.{kind}")
     if kind == "obj":
         return _mostly(numbers, whole)
+    if kind == "vtp":
+        return st.one_of(binaries(whole), _mostly(elements, whole))
     written = [_ascii_stl() if kind == "stl" else _text_ply()]
     return st.one_of(binaries(whole), _mostly(numbers, written))
 
@@ -531,7 +541,7 @@ TARGETS: Sequence[Target] = (
     Target(name="subject.toml", share=120, run=_subject, inputs=_subjects),
     *(
         Target(name=f"mesh {x}", share=55, run=_surface(x), inputs=lambda x=x: _meshes(x))  # type: ignore[misc]
-        for x in ("stl", "ply", "obj")
+        for x in ("stl", "ply", "obj", "vtp")
     ),
     Target(
         name="protocol TOML",

@@ -6,11 +6,30 @@ from typing import TYPE_CHECKING
 from typing_extensions import override
 
 from identknee.report.presenter import Presenter, Question, Statement
+from identknee.report.tables import Table, table
 from identknee.subject.knee import Knee
-from identknee.verbs.subject import SettledSubject, SubjectCheck, SubjectFacts
+from identknee.verbs.subject import ImportedSubject, SettledSubject, SubjectCheck, SubjectFacts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# Names of one class that a terminal shows.
+MOST_NAMES = 4
+
+
+def left_out_table(answer: ImportedSubject) -> Table:
+    """What of a model was left out or changed."""
+    return table(
+        "Left out of the model, or changed (all names are in result.json)",
+        ("class", ("how many", 0), "names", "", "why"),
+        ((x.kind, len(x.names), _some(x.names), x.change, x.why) for x in answer.left_out),
+    )
+
+
+def _some(names: tuple[str, ...]) -> str:
+    rest = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
@@ -43,6 +62,21 @@ class SubjectPresenter(Presenter[SubjectFacts]):
         from identknee.report.scene import scene
 
         return {"scene": scene(knee)}
+
+
+class ImportedSubjectPresenter(Presenter[ImportedSubject]):
+    """How a subject made from a model is shown."""
+
+    @override
+    def statements(self, answer: ImportedSubject) -> Iterator[Statement]:
+        """Side and ligaments, and what of the model is not in it."""
+        yield from subject_statements(answer)
+        if answer.left_out:
+            lost = [x for x in answer.left_out if x.is_line and x.change == "left out"]
+            lines = [f"{', '.join(x.names)} ({x.kind}): {x.why}." for x in lost]
+            head = "Not all of the model is in the knee."
+            sentence = "\n".join([head, *(f"Left out: {x}" for x in lines)])
+            yield self.say(sentence, left_out_table(answer))
 
 
 class SubjectCheckPresenter(Presenter[SubjectCheck]):

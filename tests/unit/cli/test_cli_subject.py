@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from osim_files import write_model
 
 import identknee as ik
 
@@ -170,3 +171,26 @@ def test_a_knee_that_does_not_settle_ends_with_1(tmp_path: Path) -> None:
     assert "with --within" in result.stderr
     far = refused("subject", "settle", "lenhart2015", "--within", "9", "--out", tmp_path)
     assert "8 mm, got 9 mm" in far
+
+
+def test_what_an_import_left_out_is_printed_and_stored(tmp_path: Path) -> None:
+    path = write_model(tmp_path, ik.reference_knee(3.0, femur_edge_mm=2.0))
+    text = path.read_text(encoding="utf-8").replace(
+        "<linear", "<appliesForce>false</appliesForce><linear", 1
+    )
+    limit = (
+        '<CoordinateLimitForce name="limit"><coordinate>knee</coordinate></CoordinateLimitForce>'
+    )
+    path.write_text(
+        text.replace("<ForceSet><objects>", f"<ForceSet><objects>{limit}"), encoding="utf-8"
+    )
+    result = run("subject", "import-osim", path, "--side", "right", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    for word in ("ACL (Blankevoort1991Ligament)", "CoordinateLimitForce", "limit"):
+        assert word in result.stdout
+    told = {x["kind"]: x for x in summary_of(tmp_path / "out")["left_out"]}
+    assert told["Blankevoort1991Ligament"]["names"] == ["ACL"]
+    assert told["Blankevoort1991Ligament"]["change"] == "left out"
+    assert told["CoordinateLimitForce"]["names"] == ["limit"]
+    said = refused("subject", "import-osim", path, "--side", "left", "--out", tmp_path / "other")
+    assert "left femur" in said

@@ -13,7 +13,6 @@ from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim import import_opensim
 from identknee.subject.reference import reference_knee
-from identknee.subject.surface import write_surface
 
 SINGLE = 1e-4  # mm; meshes have single precision
 PLACE = 1e-9  # mm; roundings on the way through metres
@@ -132,15 +131,6 @@ def test_unusable_models(tmp_path: Path, knee: Knee, edit: Callable[[str], str],
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
     assert caught.value.remedy
-
-
-def test_tibia_in_one_piece(tmp_path: Path, knee: Knee) -> None:
-    path = write_model(tmp_path, knee)
-    path.write_text(path.read_text().replace("tibia.stl", "femur.stl"))
-    (tmp_path / "Geometry" / "femur.stl").rename(tmp_path / "both.stl")
-    write_surface(knee.tibia[0].scaled(1e-3), tmp_path / "Geometry" / "femur.stl")
-    with pytest.raises(InputError, match="1 unconnected parts"):
-        import_opensim(path)
 
 
 def test_merging_needs_all_four(tmp_path: Path, knee: Knee) -> None:

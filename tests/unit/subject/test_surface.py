@@ -133,10 +133,11 @@ def test_text_ply_and_quads(tmp_path: Path) -> None:
 
 def test_vertices_of_no_triangle_are_dropped(tmp_path: Path) -> None:
     path = tmp_path / "a.obj"
-    path.write_text("v 9 9 9\nv 0 0 0\nv 0 0 1\nv 1 0 0\nv 0 0 0\nf 2 3 4\nf 5 4 3\n")
+    path.write_text("v 9 9 9\nv 0 0 0\nv 0 0 1\nv 1 0 0\nv 0 0 0\nv 1 1 0\nf 2 3 4\nf 5 4 6\n")
     surface = read_surface(path)
-    assert surface.vertices.tolist() == [[0, 0, 0], [0, 0, 1], [1, 0, 0]]
-    assert surface.faces.tolist() == [[0, 1, 2], [0, 2, 1]]
+    assert surface.vertices.tolist() == [[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 1, 0]]
+    assert surface.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert surface.repairs.unused == 1
 
 
 NAN_STL = (

@@ -1,0 +1,410 @@
+"""What an import leaves out or changes is listed, and a model that would be misread is refused."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mesh_defects import write_polygons
+from osim_files import LIGAMENT, write_model
+
+from identknee.runs.errors import InputError
+from identknee.subject.knee import Knee
+from identknee.subject.opensim import NotTaken, import_opensim, imported_knee
+from identknee.subject.opensim_left_out import left_out_of
+from identknee.subject.reference import reference_knee
+from identknee.subject.surface import Surface, joined, read_surface, write_surface
+
+
+@pytest.fixture(scope="module")
+def knee() -> Knee:
+    return reference_knee(3.0, femur_edge_mm=2.0)
+
+
+def edited(path: Path, *edits: tuple[str, str]) -> Path:
+    text = path.read_text(encoding="utf-8")
+    for before, after in edits:
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def listed(path: Path, **words: str) -> dict[tuple[str, str], NotTaken]:
+    """What was left out or changed, by its names and class."""
+    found = left_out_of(imported_knee(path, **words))  # type: ignore[arg-type]
+    return {(name, x.kind): x for x in found for name in x.names}
+
+
+def changed(path: Path, name: str, change: Callable[[str], str]) -> Path:
+    """The model with one of its ligaments written otherwise."""
+    text = path.read_text(encoding="utf-8")
+    own = re.search(
+        rf'<Blankevoort1991Ligament name="{name}">.*?</Blankevoort1991Ligament>', text, re.S
+    )
+    assert own is not None
+    assert change(own[0]) != own[0]
+    path.write_text(text.replace(own[0], change(own[0])), encoding="utf-8")
+    return path
+
+
+KIND = "Blankevoort1991Ligament"
+
+
+@pytest.mark.parametrize("word", ["false", " False\n", "0"])
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+def test_a_ligament_that_applies_no_force_is_left_out(
+    tmp_path: Path, knee: Knee, word: str, bundles: str
+) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: x.replace("<linear_st", f"<appliesForce>{word}</appliesForce><linear_st"),
+    )
+    found = imported_knee(path, bundles=bundles)  # type: ignore[arg-type]
+    assert [x.name for x in found.knee.ligaments] == ["PCL", "LCL", "MCL"]
+    (told,) = [x for x in left_out_of(found) if "ACL" in x.names]
+    assert (told.kind, told.change, told.is_line) == (KIND, "left out", True)
+    assert "ACL" in found.knee.description
+
+
+def test_one_that_applies_its_force_is_no_remark(tmp_path: Path, knee: Knee) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: x.replace("<linear_st", "<appliesForce>true</appliesForce><linear_st"),
+    )
+    assert not left_out_of(imported_knee(path))
+
+
+@pytest.mark.parametrize("kind", ["Ligament", "MyLigament", "PathSpring", "Smith2018Ligament"])
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+def test_ligaments_of_other_classes_are_named(
+    tmp_path: Path, knee: Knee, kind: str, bundles: str
+) -> None:
+    path = changed(write_model(tmp_path, knee), "LCL", lambda x: x.replace(KIND, kind))
+    told = listed(path, bundles=bundles)["LCL", kind]
+    assert (told.change, told.is_line) == ("left out", True)
+    assert "LCL" not in [x.name for x in import_opensim(path).ligaments]
+
+
+def test_deep_bundles_do_not_stand_for_superficial_ones(tmp_path: Path, knee: Knee) -> None:
+    path = write_model(tmp_path, knee)
+    changed(path, "MCL", lambda x: x.replace('"MCL"', '"MCLd1"') + x.replace('"MCL"', '"MCLs1"'))
+    changed(path, "MCLs1", lambda x: x.replace(KIND, "Ligament"))
+    found = imported_knee(path, bundles="merged")
+    assert [x.name for x in found.knee.ligaments] == ["ACL", "PCL", "LCL"]
+    names = {(y, x.kind) for x in left_out_of(found) for y in x.names}
+    assert {("MCLd1", KIND), ("MCLs1", "Ligament")} <= names
+
+
+def _force(text: str) -> tuple[str, str]:
+    return "<ForceSet><objects>", f"<ForceSet><objects>{text}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        ("CoordinateLimitForce", "<coordinate>knee_angle_r</coordinate>"),
+        ("SpringGeneralizedForce", "<coordinate>hip_r</coordinate>"),
+        ("BushingForce", "<socket_frame1>/bodyset/femur_r</socket_frame1>"),
+        ("MyOwnForce", ""),
+        ("Millard2012EquilibriumMuscle", "<max_isometric_force>9</max_isometric_force>"),
+        ("Smith2018ArticularContactForce", ""),
+    ],
+)
+def test_every_other_force_is_named(tmp_path: Path, knee: Knee, kind: str, content: str) -> None:
+    path = edited(write_model(tmp_path, knee), _force(f'<{kind} name="it">{content}</{kind}>'))
+    assert (("it", kind)) in listed(path)
+    assert len(import_opensim(path).ligaments) == 4
+
+
+def test_ligaments_elsewhere_are_named(tmp_path: Path, knee: Knee) -> None:
+    patellar = LIGAMENT.format(
+        name="PT", side="r", femur="0 0 0", tibia="0 0 1", stiffness=1, slack=1, via=""
+    ).replace("femur_r", "patella_r")
+    told = listed(edited(write_model(tmp_path, knee), _force(patellar)))["PT", KIND]
+    assert (told.change, told.is_line) == ("left out", False)
+
+
+def _point(kind: str) -> Callable[[str], str]:
+    return lambda x: x.replace('<PathPoint name="a">', f'<{kind} name="a">', 1).replace(
+        "</PathPoint>", f"</{kind}>", 1
+    )
+
+
+def test_ends_that_move_or_hold_in_a_range(tmp_path: Path, knee: Knee) -> None:
+    path = changed(write_model(tmp_path, knee), "ACL", _point("MovingPathPoint"))
+    changed(path, "PCL", _point("ConditionalPathPoint"))
+    changed(
+        path,
+        "LCL",
+        lambda x: x.replace("<linear", "<transition_strain>0.03</transition_strain><linear"),
+    )
+    via = '<ConditionalPathPoint name="v"></ConditionalPathPoint><PathPoint name="b">'
+    changed(path, "MCL", lambda x: x.replace('<PathPoint name="b">', via))
+    told = listed(path)
+    changes = {name: told[name, KIND].change for name in ("ACL", "PCL", "LCL", "MCL")}
+    assert changes == {"ACL": "left out", "PCL": "changed", "LCL": "changed", "MCL": "changed"}
+    assert [x.name for x in import_opensim(path).ligaments] == ["PCL", "LCL", "MCL"]
+
+
+COORDINATE = """<coordinates><Coordinate name="knee_angle_r"><default_value>{}</default_value>
+<locked>{}</locked></Coordinate></coordinates><SpatialTransform>"""
+
+
+def test_defaults_that_are_not_zero_are_said(tmp_path: Path, knee: Knee) -> None:
+    path = edited(
+        write_model(tmp_path, knee), ("<SpatialTransform>", COORDINATE.format(0.5236, "true"))
+    )
+    found = left_out_of(imported_knee(path))
+    assert [(x.kind, x.names, x.change) for x in found] == [
+        ("Coordinate", ("knee_angle_r",), "changed")
+    ] * 2
+    edited(path, ("0.5236", "0"), ("<locked>true", "<locked>false"))
+    assert not left_out_of(imported_knee(path))
+
+
+TURN = """<TransformAxis name="rotation3"><coordinates>knee_angle_r</coordinates><axis>{}</axis>
+{}</TransformAxis></SpatialTransform>"""
+FLEXES = '<LinearFunction name="function"><coefficients>1 0</coefficients></LinearFunction>'
+
+
+@pytest.mark.parametrize(("axis", "word"), [("1 0 0", "+x"), ("0 -1 0", "-y"), ("0.9 0 0.3", "+x")])
+def test_a_flexion_axis_that_is_not_lateral_is_refused(
+    tmp_path: Path, knee: Knee, axis: str, word: str
+) -> None:
+    path = write_model(tmp_path, knee)
+    edited(path, ("</SpatialTransform>", TURN.format(axis, FLEXES)))
+    with pytest.raises(InputError, match=re.escape(f"flexion axis is {word}")):
+        import_opensim(path)
+    edited(path, (f"<axis>{axis}</axis>\n<Lin", "<axis>0 0 -1</axis>\n<Lin"))
+    assert len(import_opensim(path).ligaments) == 4
+
+
+def test_coupled_motion_of_the_joint_is_said(tmp_path: Path, knee: Knee) -> None:
+    spline = '<SimmSpline name="function"><x>-1 0 1</x><y>0.1 0 0.1</y></SimmSpline>'
+    path = edited(
+        write_model(tmp_path, knee), ("</SpatialTransform>", TURN.format("0 0 1", spline))
+    )
+    assert listed(path)["rotation3", "TransformAxis"].change == "left out"
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        (((0, 0, 1), (1, 0, 0), (0, 1, 0)), "up is +z"),
+        (((0, -1, 0), (1, 0, 0), (0, 0, 1)), "up is -x"),
+        (((0, 0, 1), (0, 1, 0), (-1, 0, 0)), "lateral, as MCL to LCL says, is +x"),
+        (((1, 0, 0), (0, -1, 0), (0, 0, -1)), "up is -y"),
+    ],
+)
+def test_other_axes_are_named(
+    tmp_path: Path, knee: Knee, turn: tuple[tuple[int, ...], ...], words: str
+) -> None:
+    rotation = np.array(turn, float)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    path = write_model(tmp_path, knee)
+    for name in ("femur", "tibia"):
+        file = tmp_path / "Geometry" / f"{name}.stl"
+        write_surface(read_surface(file).moved(rotation, np.zeros(3)), file)
+    text = path.read_text(encoding="utf-8")
+
+    def turned(found: re.Match[str]) -> str:
+        place = rotation @ [float(x) for x in found[1].split()]
+        return f"<location>{' '.join(map(repr, place.tolist()))}</location>"
+
+    path.write_text(re.sub("<location>([^<]*)</location>", turned, text), encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        import_opensim(path)
+    assert "x anterior, y superior, z to the right" in caught.value.remedy
+
+
+def test_collateral_ligaments_on_the_wrong_sides_are_refused(tmp_path: Path, knee: Knee) -> None:
+    path = edited(
+        write_model(tmp_path, knee), ('"MCL"', '"x"'), ('"LCL"', '"MCL"'), ('"x"', '"LCL"')
+    )
+    with pytest.raises(InputError, match=re.escape("is -z, and must be +z in a right knee")):
+        import_opensim(path)
+
+
+def _both_legs(folder: Path, knee: Knee) -> Path:
+    """A model of two legs, the left one the mirror of the right one."""
+    (folder / "l").mkdir(parents=True)
+    path = write_model(folder, knee)
+    left = write_model(folder / "l", knee, side="l").read_text(encoding="utf-8")
+    for name in ("femur", "tibia"):
+        (folder / "l" / "Geometry" / f"{name}.stl").rename(folder / "Geometry" / f"{name}_l.stl")
+    text = path.read_text(encoding="utf-8")
+    for group in ("JointSet", "ForceSet", "ContactGeometrySet"):
+        more = re.search(f"<{group}><objects>(.*?)</objects></{group}>", left, re.S)
+        assert more is not None
+        own = re.sub('name="([A-Z]CL)"', r'name="\1_l"', more[1])
+        own = own.replace("femur.stl", "femur_l.stl").replace("tibia.stl", "tibia_l.stl")
+        text = text.replace(f"</objects></{group}>", f"{own}</objects></{group}>")
+    bodies = "".join(f'<Body name="{x}_{y}"/>' for x in ("femur", "tibia", "talus") for y in "rl")
+    text = text.replace(
+        "<JointSet>", f"<BodySet><objects>{bodies}</objects></BodySet><JointSet>", 1
+    )
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_one_of_two_legs(tmp_path: Path, knee: Knee) -> None:
+    path = _both_legs(tmp_path / "both", knee)
+    with pytest.raises(InputError, match="--side left or --side right"):
+        import_opensim(path)
+    right, left = (import_opensim(path, side=x) for x in ("right", "left"))
+    assert (right.side, left.side) == ("right", "left")
+    assert [x.name for x in left.ligaments] == ["ACL_l", "PCL_l", "LCL_l", "MCL_l"]
+    for one, other in zip(right.ligaments, left.ligaments, strict=True):
+        np.testing.assert_allclose(one.femur, other.femur, atol=1e-9)
+    told = listed(path, side="left")
+    assert {("femur_r", "Body"), ("talus_r", "Body"), ("talus_l", "Body"), ("ACL", KIND)} <= set(
+        told
+    )
+    assert told["talus_r", "Body"].why != told["talus_l", "Body"].why
+    one_leg = write_model(tmp_path, knee)
+    with pytest.raises(InputError, match="one left femur"):
+        import_opensim(one_leg, side="left")
+
+
+def test_a_side_that_no_name_tells_is_stated(tmp_path: Path, knee: Knee) -> None:
+    path = edited(write_model(tmp_path, knee), ("_r<", "<"), ("knee_r", "knee"))
+    with pytest.raises(InputError, match="--side"):
+        import_opensim(path)
+    assert import_opensim(path, side="right").side == "right"
+    with pytest.raises(InputError, match=r"is \+z, and must be -z in a left knee"):
+        import_opensim(path, side="left")
+
+
+def _bridged(knee: Knee) -> Surface:
+    """Both plateaus with a strip between them, so that they are one piece."""
+    both = joined(*knee.tibia)
+    rims = [x.boundary_edges.ravel() for x in knee.tibia]
+    starts = [0, len(knee.tibia[0].vertices)]
+    ends = [both.vertices[x + i] for x, i in zip(rims, starts, strict=True)]
+    a = rims[0][int(np.argmax(ends[0][:, 2]))]
+    edges = knee.tibia[0].boundary_edges
+    edge = edges[(edges == a).any(axis=1)][0]
+    b = rims[1][int(np.argmin(ends[1][:, 2]))] + starts[1]
+    corner = both.vertices[[*edge, b]]
+    up = np.cross(corner[1] - corner[0], corner[2] - corner[0])[1] > 0.0
+    face = [edge[0], edge[1], b] if up else [edge[1], edge[0], b]
+    return Surface(vertices=both.vertices, faces=np.concatenate([both.faces, [face]]))
+
+
+def test_a_tibia_in_one_piece_is_cut_between_the_plateaus(tmp_path: Path, knee: Knee) -> None:
+    path = write_model(tmp_path, knee)
+    write_surface(_bridged(knee).scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
+    found = imported_knee(path)
+    for part, wanted in zip(found.knee.tibia, knee.tibia, strict=True):
+        assert abs(len(part.faces) - len(wanted.faces)) <= 1
+        assert part.areas.sum() == pytest.approx(wanted.areas.sum(), rel=0.05)
+    (told,) = left_out_of(found)
+    assert (told.change, told.names) == ("changed", ("tibia",))
+
+
+def test_one_plateau_is_not_cut(tmp_path: Path, knee: Knee) -> None:
+    path = write_model(tmp_path, knee)
+    write_surface(knee.tibia[0].scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
+    with pytest.raises(InputError, match="it has one plateau"):
+        import_opensim(path)
+
+
+@pytest.mark.parametrize("bone", ["femur", "tibia"])
+def test_a_mesh_that_is_mirrored_by_its_scale(tmp_path: Path, knee: Knee, bone: str) -> None:
+    path = write_model(tmp_path, knee)
+    file = tmp_path / "Geometry" / f"{bone}.stl"
+    write_surface(read_surface(file).mirrored(), file)
+    factors = "</scale_factors></Smith2018ContactMesh>"
+    mesh = f"<mesh_file>{bone}.stl</mesh_file><scale_factors>1 1 "
+    edited(path, (f"{mesh}1{factors}", f"{mesh}-1{factors}"))
+    found = imported_knee(path)
+    assert [x.names for x in left_out_of(found)] == [(f"{bone}_mesh",)]
+    np.testing.assert_allclose(found.knee.femur.centroid, knee.femur.centroid, atol=1e-4)
+
+
+@pytest.mark.parametrize("bone", ["femur", "tibia"])
+def test_meshes_in_vtp_files(tmp_path: Path, knee: Knee, bone: str) -> None:
+    path = edited(write_model(tmp_path, knee), (f"{bone}.stl", f"{bone}.vtp"))
+    surface = read_surface(tmp_path / "Geometry" / f"{bone}.stl")
+    write_polygons(tmp_path / "Geometry" / f"{bone}.vtp", surface.vertices, surface.faces.tolist())
+    found = import_opensim(path)
+    assert len(found.femur.faces) == len(knee.femur.faces)
+
+
+def test_crumbs_are_said(tmp_path: Path, knee: Knee) -> None:
+    path = write_model(tmp_path, knee)
+    crumb = Surface(vertices=np.eye(3) / 10.0, faces=np.array([[0, 1, 2]]))
+    write_surface(joined(*knee.tibia, crumb).scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
+    (told,) = left_out_of(imported_knee(path))
+    assert (told.change, len(told.names)) == ("left out", 1)
+
+
+def test_a_mesh_given_twice_counts_once(tmp_path: Path, knee: Knee) -> None:
+    path = write_model(tmp_path, knee)
+    text = path.read_text(encoding="utf-8")
+    mesh = re.findall("<Smith2018ContactMesh.*?</Smith2018ContactMesh>", text, re.S)[1]
+    again = mesh.replace("tibia_mesh", "again")
+    path.write_text(text.replace(mesh, mesh + again), encoding="utf-8")
+    assert listed(path)["again", "Smith2018ContactMesh"].change == "left out"
+    assert len(import_opensim(path).tibia[0].faces) == len(knee.tibia[0].faces)
+    edited(path, ("tibia.stl", "femur.stl"))
+    with pytest.raises(InputError, match=r"the same mesh file, femur\.stl"):
+        import_opensim(path)
+
+
+@pytest.mark.parametrize(
+    ("written", "kept"),
+    [
+        ("Geometry\\femur.stl", "Geometry/femur.stl"),
+        ("FEMUR.STL", "Geometry/femur.stl"),
+        ("femur.stl", "geometry/Femur.stl"),
+        ("C:\\Users\\me\\Geometry\\femur.stl", "Geometry/femur.stl"),
+        ("meshes\\Femur.stl", "Meshes/femur.STL"),
+        ("..\\Geometry\\FEMUR.stl", "Geometry/femur.stl"),
+        ("femur.stl", "FEMUR.stl"),
+    ],
+)
+def test_names_of_windows_and_in_another_case(
+    tmp_path: Path, knee: Knee, written: str, kept: str
+) -> None:
+    path = edited(write_model(tmp_path, knee), (">femur.stl<", f">{written}<"))
+    (tmp_path / "Geometry" / "femur.stl").rename(tmp_path / "moved")
+    if kept.startswith("geometry"):
+        (tmp_path / "Geometry").rename(tmp_path / "geometry")
+    (tmp_path / kept).parent.mkdir(exist_ok=True)
+    (tmp_path / "moved").rename(tmp_path / kept)
+    assert len(import_opensim(path).femur.faces) == len(knee.femur.faces)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (b"Q & A", "the character &"),
+        (b"Q&A", "the character &"),
+        ("Größe & Gewicht".encode(), "the character &"),
+        (b"p < 0.05", "the character <"),
+        (b"a\x01b", r"U\+0001"),
+        ("µµ\x01".encode(), r"U\+0001"),
+        (b"M\xfcller", "the byte 0xFC"),
+        ("\ufffe".encode(), r"U\+FFFE"),
+    ],
+)
+def test_a_character_that_breaks_the_file_is_named(
+    tmp_path: Path, knee: Knee, wrong: bytes, said: str
+) -> None:
+    path = write_model(tmp_path, knee)
+    content = path.read_bytes()
+    at = content.index(b"<length_units>")
+    path.write_bytes(content[:at] + b"<credits>" + wrong + b"</credits>" + content[at:])
+    with pytest.raises(InputError, match=said) as caught:
+        import_opensim(path)
+    line = content[:at].count(b"\n") + 1
+    first = at - (content.rfind(b"\n", 0, at) + 1) + len("<credits>") + 1
+    characters = wrong.decode("utf-8", "surrogateescape")
+    offset = next(i for i, x in enumerate(characters) if x in "&<\x01\udcfc\ufffe")
+    assert caught.value.where == f"line {line}, column {first + offset}"
+    assert caught.value.remedy
