@@ -208,8 +208,18 @@ Interval = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Gaussian:
-    """Likelihood times prior near a point: a Gaussian within bounds, in units of the priors' sd."""
+class LocalGaussian:
+    """Likelihood times prior near a point: a Gaussian within bounds, in units of the priors' sd.
+
+    Attributes
+    ----------
+    middle, covariance
+        Of the Gaussian, shapes ``(p,)`` and ``(p, p)``.
+    lower, upper
+        The bounds, shape ``(p,)``.
+    log_evidence
+        Logarithm of its integral within them.
+    """
 
     middle: Array
     covariance: Array
@@ -239,7 +249,7 @@ class Laplace:
     sd: Array
     log_evidence: float
     _parameters: Parameters = field(repr=False)
-    _near: _Gaussian = field(repr=False)
+    _near: LocalGaussian = field(repr=False)
 
     def __post_init__(self) -> None:
         for name in ("theta", "sd"):
@@ -303,7 +313,7 @@ class Laplace:
         return min(low, at), max(high, at), is_lower_bound or is_beside, is_upper_bound or is_beside
 
 
-def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | None) -> _Gaussian:
+def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | None) -> LocalGaussian:
     """The Gaussian whose logarithm has the slope and curvature of the deviance at a point."""
     is_log, sd = np.array(parameters.is_log), parameters.prior_sd
     point, center, lower, upper = (
@@ -323,7 +333,7 @@ def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | Non
         - np.log(np.diag(information[0])).sum()
         + log_box_probability(middle, covariance, lower, upper)
     )
-    return _Gaussian(
+    return LocalGaussian(
         middle=middle,
         covariance=covariance,
         lower=lower,
