@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -180,8 +181,11 @@ class Laxity:
         )
 
 
-def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
+def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
     """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
+
+    A pandas ``DataFrame`` is read by the same rules: NaN is a blank, a named index is a column, and
+    ``attrs`` hold what comment lines state, as in ``frame.attrs["zero"] = "unloaded"``.
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
     ones in `OPPOSITES`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
@@ -202,7 +206,7 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
         If the file breaks a rule; the message names the row (the line number in the file), the
         column and what to do.
     """
-    with CellFile.open(laxity_file(path)) as file:
+    with CellFile.open(path if is_frame(path) else laxity_file(path)) as file:
         file.read_renamed_columns()
         file.read_opposite_columns(OPPOSITES)
         is_series = TIME in file.columns
@@ -345,7 +349,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
         if name in names:
             row.refuse(
                 "trial",
-                f"{name!r} already names the trial of row {names[name]}",
+                f"{name!r} already names the trial of {file.place(names[name])}",
                 "Give each trial its own name; replicates of one load are welcome.",
             )
         names[name] = row.line
@@ -631,31 +635,34 @@ def add_noise(
     )
 
 
-_TABLE_FILES = (".csv", *OPENSIM)
+TABLE_FILES = (".csv", *OPENSIM)
 
-TrialsLike = Protocol | PathLike
+# Without `Laxity`, which stands for data in the types of verbs; it is read like a frame.
+TrialsLike = Protocol | Frame | PathLike
 """A protocol, the name or file of one, or a laxity table whose trials are meant."""
 
 
-def read_tests(given: TrialsLike) -> Protocol | Laxity:
+def read_tests(given: TrialsLike | Laxity) -> Protocol | Laxity:
     """The trials of a protocol or table, as a laxity table if they come from one.
 
     Parameters
     ----------
     given
-        A protocol, the name of one (``"seed63"``), its TOML file, a laxity table (CSV), or the name
-        of a subject that comes with measured laxity (``"s192803"``). The table need not hold any
-        measured value.
+        A protocol, the name of one (``"seed63"``), its TOML file, a laxity table (CSV, `Laxity` or
+        pandas ``DataFrame``), or the name of a subject that comes with measured laxity
+        (``"s192803"``). The table need not hold any measured value.
 
     Raises
     ------
     InputError
         If there is nothing of this name, or the file breaks a rule.
     """
-    if isinstance(given, Protocol):
+    if isinstance(given, Protocol | Laxity):
         return given
+    if is_frame(given):
+        return read_laxity(given, is_measured=False)
     path = Path(given)
-    if given in TABLES or path.suffix.lower() in _TABLE_FILES:
+    if given in TABLES or path.suffix.lower() in TABLE_FILES:
         return read_laxity(given, is_measured=False)
     if given not in BUILT_IN and path.suffix == "" and not path.exists():
         raise InputError(
@@ -668,7 +675,7 @@ def read_tests(given: TrialsLike) -> Protocol | Laxity:
     return load_protocol(given)
 
 
-def read_trials(given: TrialsLike) -> Protocol:
+def read_trials(given: TrialsLike | Laxity) -> Protocol:
     """The trials of a protocol or table; see `read_tests`.
 
     Examples

@@ -13,6 +13,7 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
+from identknee.laxity.data_frame import NAME, Frame, frame_text, is_frame
 from identknee.laxity.protocol import (
     ABSOLUTE,
     DIRECTIONS,
@@ -59,8 +60,9 @@ class CellFile:
         Column in the file, and the factor of its values, by the name that it is read under.
     """
 
-    def __init__(self, path: Path, file: TextIO) -> None:
+    def __init__(self, path: Path, file: TextIO, places: Sequence[str] = ()) -> None:
         self.path = path
+        self._places = places
         self.comments: list[tuple[int, str]] = []
         self.delimiter = ","
         self.sources: dict[str, tuple[str, float]] = {}
@@ -74,8 +76,8 @@ class CellFile:
 
     @classmethod
     @contextmanager
-    def open(cls, path: PathLike) -> Iterator[Self]:
-        """The file at `path`, its header read.
+    def open(cls, path: PathLike | Frame) -> Iterator[Self]:
+        """The file at `path`, or the data frame, its header read.
 
         In an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
         and cells that say nan are blank.
@@ -85,6 +87,10 @@ class CellFile:
         InputError
             If it cannot be read or has no header.
         """
+        if is_frame(path):
+            text, places = frame_text(path)
+            yield cls(Path(NAME), io.StringIO(text), places)
+            return
         checked = check_readable(path)
         with checked.open(encoding="utf-8-sig", newline="") as file:
             is_storage = checked.suffix.lower() in OPENSIM
@@ -191,8 +197,12 @@ class CellFile:
 
     def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a place in this file."""
-        place = f"row {line}, column {column}" if column else f"row {line}"
-        raise InputError(self.path, place, why, remedy)
+        row = self.place(line)
+        raise InputError(self.path, f"{row}, column {column}" if column else row, why, remedy)
+
+    def place(self, line: int) -> str:
+        """What messages call a line: its number in a file, the index of a row of a data frame."""
+        return self._places[line - 1] if line <= len(self._places) else f"row {line}"
 
     def _header(self) -> tuple[int, list[str]]:
         stated = ""
@@ -534,7 +544,9 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
         # A spreadsheet pads every line with separators.
         name, value = found[1].lower(), found[2].rstrip(",; ")
         if name in lines:
-            file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
+            file.refuse(
+                line, "", f"{name} is stated in {file.place(lines[name])} too", "Remove one."
+            )
         lines[name], stated[name] = line, value
     try:
         correlation = float(stated["within_trial_correlation"])
