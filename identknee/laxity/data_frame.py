@@ -12,7 +12,7 @@ from identknee.runs.errors import InputError
 # What messages call it, in place of a file.
 NAME = "DataFrame"
 # What `attrs` may state, each as a comment line of a file would.
-STATED = ("zero", "within_trial_correlation", "translations", "levels")
+STATED = ("zero", "within_trial_correlation", "translations", "levels", "angles")
 
 
 class Frame(TypedProtocol):
