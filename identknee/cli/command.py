@@ -15,6 +15,7 @@ from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
 from identknee.runs.errors import InputError, NotComputable
 from identknee.runs.executors import WorkerTerminated
 from identknee.runs.files import plain
+from identknee.runs.findings import Severity
 from identknee.verbs.registry import verb_named
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
 
 
 def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
-    """Print an answer, and leave with the exit code that it asks for."""
+    """Print an answer, and leave where nothing was computed or nothing computed holds."""
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.schema import summary_of
 
@@ -164,8 +165,19 @@ def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
         typer.echo(answer.remark, err=True)
     if answer.failure:
         raise NotComputable(answer.failure)
-    if answer.refuses_input:
-        raise typer.Exit(WRONG_INPUT)
+
+
+def end_with_errors(answer: "Answer") -> None:
+    """Leave with exit code 1 if the answer has a finding that is an error.
+
+    The sentence has its code alone: what was found stands in the answer.
+    """
+    codes = dict.fromkeys(x.code for x in answer.findings if x.severity is Severity.ERROR)
+    if codes:
+        raise NotComputable(
+            f"an error was found ({', '.join(codes)}); do not use the numbers before its cause is "
+            "known"
+        )
 
 
 def print_result(found: Any, *lines: str, as_json: bool) -> None:

@@ -11,7 +11,7 @@ import typer.core
 from typing_extensions import override
 
 import identknee as ik
-from identknee.cli.command import Command, CommandGroup, Json, finished
+from identknee.cli.command import Command, CommandGroup, Json, end_with_errors, finished
 from identknee.laxity.named_tables import TABLES
 from identknee.runs.files import write_atomically
 from identknee.subject.examples import named_subject
@@ -87,6 +87,7 @@ def command_of(verb: Verb) -> typer.core.TyperCommand:
             write_report(out, out / PAGE)
             if not as_json:
                 typer.echo(f"Open in a browser: {out / PAGE}")
+        end_with_errors(answer)
 
     more = [description_of(verb.call), *([RESUMES] if verb.resumes else [])]
     called.__doc__ = f"{verb.summary}\n\n{' '.join(more)}".strip()

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -138,8 +138,11 @@ class Laxity:
         "opposite load, and the name of a trial where they are changes from that one",
         default="absolute",
     )
-    # Said of what was read, not part of it: files that hold laxity have their own findings.
-    findings: tuple[Finding, ...] = field(default=())
+    findings: tuple[Finding, ...] = entry(
+        "Findings: what reading a file did to its numbers; answers have them among their own",
+        is_in_json=False,
+        default=(),
+    )
 
     def __post_init__(self) -> None:
         coordinates = self.coordinates

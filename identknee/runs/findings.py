@@ -82,8 +82,7 @@ class FindingKind:
         default=None,
     )
     invalidates: bool = entry(
-        "Whether nothing could be computed, or nothing computed holds. A command that finds "
-        "it writes its results and exits with 1",
+        "Whether nothing could be computed, or nothing computed holds",
         default=False,
     )
 

@@ -58,11 +58,6 @@ class Answer:
         return sum(x.deviance for x in self.evidence) if self.evidence else float("inf")
 
     @property
-    def refuses_input(self) -> bool:
-        """Whether the answer is that the input cannot be used."""
-        return False
-
-    @property
     def remark(self) -> str:
         """What only who runs the command has to know; empty for nothing."""
         return ""
