@@ -33,6 +33,12 @@ SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", help="Print all that the answer says, not only what changes what to do."
+    ),
+]
 
 
 class Command(typer.core.TyperCommand):
@@ -153,12 +159,14 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
+def finished(
+    answer: "Answer", out: Path, *, then: str, as_json: bool, is_verbose: bool = False
+) -> None:
     """Print an answer, and leave where nothing was computed or nothing computed holds."""
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.schema import summary_of
 
-    lines = [] if as_json else [str(answer)]
+    lines = [] if as_json else [str(answer) if is_verbose else answer.brief()]
     lines += [f"Results: {out}", *([then] if then else [])]
     show(summary_of(answer), lines, as_json=as_json)
     if answer.remark:

@@ -34,6 +34,8 @@ def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
 class SubjectPresenter(Presenter[SubjectFacts]):
     """How a subject is shown."""
 
+    is_brief = True
+
     @override
     def statements(self, answer: SubjectFacts) -> Iterator[Statement]:
         yield from subject_statements(answer)
@@ -48,6 +50,8 @@ class SubjectPresenter(Presenter[SubjectFacts]):
 class SubjectCheckPresenter(Presenter[SubjectCheck]):
     """How the check of a subject is shown."""
 
+    is_brief = True
+
     @override
     def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
         yield from check_statements(answer)
@@ -55,6 +59,8 @@ class SubjectCheckPresenter(Presenter[SubjectCheck]):
 
 class SettledSubjectPresenter(Presenter[SettledSubject]):
     """How moved insertions are shown."""
+
+    is_brief = True
 
     @override
     def statements(self, answer: SettledSubject) -> Iterator[Statement]:

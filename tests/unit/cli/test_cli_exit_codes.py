@@ -30,6 +30,8 @@ class Stub(Answer):
         """A line for each finding."""
         return "\n".join(["the answer", *(x.line for x in self.findings)])
 
+    brief = __str__
+
 
 def of(severity: Severity, code: str = "fit-unfinished") -> Finding:
     return Finding(code=code, severity=severity, sentence="it is so.", where="data")
