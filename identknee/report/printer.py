@@ -54,6 +54,8 @@ def brief_lines(answer: Answer) -> list[str]:
     main = _main(statements)
     for statement in main:
         lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables[:1])]
+    # One line less on a screen; between statements the empty line is needed.
+    lines[-1] = lines[-1].rstrip("\n")
     rest = by_severity(opening.without(answer.findings))
     telling = [x for x in rest if x.severity is not Severity.INFO]
     # However many there are, no error goes by.

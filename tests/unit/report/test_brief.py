@@ -102,7 +102,7 @@ def test_a_brief_answer_is_a_part_of_the_whole_one(verb: str) -> None:
         return
     # All but the count, whose place is last.
     is_counted = brief[-1].endswith("more: --verbose, or the report")
-    assert all(x in whole for x in brief[: len(brief) - is_counted])
+    assert all(x in "\n".join(whole) for x in brief[: len(brief) - is_counted])
     n_findings = len(without_repeats(answer.findings))
     shown = [x for x in answer.findings if any(x.line == y for y in brief)]
     assert counted_more(answer) == n_findings - len(shown)
