@@ -39,7 +39,7 @@ class BlindData(Answer):
         """How many trials there are, and nothing of what is hidden."""
         return f"{self.n_trials} trials of {self.subject}; something may be hidden in them."
 
-    __repr__ = __str__
+    __repr__ = brief = __str__
 
     @property
     @override

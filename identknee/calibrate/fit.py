@@ -287,6 +287,8 @@ def _fit(
 
 
 SUBJECT = "subject"
+# What messages and results call a start that was given as values.
+IN_MEMORY = "the values of start"
 FILE_LIMIT_MB = 1
 
 
@@ -301,14 +303,23 @@ def start_names() -> tuple[str, ...]:
     return (SUBJECT, *_published())
 
 
-def load_start(name_or_path: str | os.PathLike[str], parameters: Parameters) -> Array:
-    """Theta of a named start, or of the file whose path ends in ``.toml``, shape ``(n,)``.
+# The name of a start, the path of its file, or values by parameter.
+StartLike = str | os.PathLike[str] | Mapping[str, Any]
+
+
+def load_start(name_or_path: StartLike, parameters: Parameters) -> Array:
+    """Theta of a named start, of a file whose path ends in ``.toml``, or of values, ``(n,)``.
+
+    Values are those of parameters by name, or of ligaments with a dictionary each, as such a file
+    and ``result.json`` have them; parameters without one keep the subject's value.
 
     Raises
     ------
     ValueError
         As in `named_start`; `InputError` as in `read_start`.
     """
+    if isinstance(name_or_path, Mapping):
+        return _checked_start(Path(IN_MEMORY), dict(_flat(name_or_path)), parameters)
     if Path(name_or_path).suffix == ".toml":
         return read_start(name_or_path, parameters)
     return named_start(os.fspath(name_or_path), parameters)
@@ -368,7 +379,16 @@ def read_start(path: str | os.PathLike[str], parameters: Parameters) -> Array:
         number within the parameter's bounds.
     """
     file = Path(path)
-    values = dict(_flat(read_toml(file, FILE_LIMIT_MB)))
+    return _checked_start(file, dict(_flat(read_toml(file, FILE_LIMIT_MB))), parameters)
+
+
+def start_word(start: StartLike) -> str:
+    """What a result calls a start."""
+    return IN_MEMORY if isinstance(start, Mapping) else os.fspath(start)
+
+
+def _checked_start(file: Path, values: Mapping[str, Any], parameters: Parameters) -> Array:
+    """Theta of these values, the subject's for the rest; `file` is what messages name."""
     for name in values:
         if name not in parameters.names:
             raise InputError(

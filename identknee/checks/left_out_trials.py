@@ -28,7 +28,7 @@ class TrialsAsked:
     laxity: Laxity = entry("The data, cells of trials left out blank")
     by_name: tuple[str, ...] = entry("Trials left out because they were named")
     contradicted: tuple[str, ...] = entry("Trials left out because the table contradicts them")
-    findings: tuple[Finding, ...] = entry("Both as findings")
+    findings: tuple[Finding, ...] = entry("Both as findings, and those of reading the data")
 
     @property
     def with_contradicted(self) -> Laxity:
@@ -76,6 +76,7 @@ def trials_asked(
         by_name=tuple(np.array(trials, object)[is_named]),
         contradicted=tuple(np.array(trials, object)[is_off]),
         findings=(
+            *laxity.findings,
             *trial_findings(rows, without, "trial-against-course", is_left_out=True),
             *(
                 finding("trial-left-out", trials[i], {"trial": trials[i]})

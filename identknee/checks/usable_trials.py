@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from identknee.calibrate.fit import Fit, fit, load_start
+from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
     BoundedProblem,
     Problem,
@@ -275,7 +275,9 @@ def table_model(
     return replace(model, knee=knee.with_ligaments(ligaments)), (sentence,)
 
 
-def knee_with_equilibria(knee: Knee, laxity: Laxity, start: str) -> tuple[Knee, TrialSelection]:
+def knee_with_equilibria(
+    knee: Knee, laxity: Laxity, start: StartLike
+) -> tuple[Knee, TrialSelection]:
     """The knee with strains at which trials have an equilibrium, and these trials.
 
     Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own

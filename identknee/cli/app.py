@@ -38,7 +38,7 @@ def identknee(
 
     SUBJECT is a subject folder, or a name from: identknee subject list. A command that computes
     writes result.json, and result.nc with all arrays, to the folder --out. Exit codes: 0 done,
-    1 it could not be computed, 2 the input is wrong.
+    1 it could not be computed or an error was found, 2 the input is wrong.
     """
 
 

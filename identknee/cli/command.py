@@ -15,6 +15,7 @@ from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
 from identknee.runs.errors import InputError, NotComputable
 from identknee.runs.executors import WorkerTerminated
 from identknee.runs.files import plain
+from identknee.runs.findings import Severity
 from identknee.verbs.registry import verb_named
 
 if TYPE_CHECKING:
@@ -32,6 +33,12 @@ SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print only result.json, to standard output.")]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", help="Print all that the answer says, not only what changes what to do."
+    ),
+]
 
 
 class Command(typer.core.TyperCommand):
@@ -152,20 +159,33 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
-def finished(answer: "Answer", out: Path, *, then: str, as_json: bool) -> None:
-    """Print an answer, and leave with the exit code that it asks for."""
+def finished(
+    answer: "Answer", out: Path, *, then: str, as_json: bool, is_verbose: bool = False
+) -> None:
+    """Print an answer, and leave where nothing was computed or nothing computed holds."""
     # These load xarray and what draws tables, which takes longer than most mistakes.
     from identknee.runs.schema import summary_of
 
-    lines = [] if as_json else [str(answer)]
+    lines = [] if as_json else [str(answer) if is_verbose else answer.brief()]
     lines += [f"Results: {out}", *([then] if then else [])]
     show(summary_of(answer), lines, as_json=as_json)
     if answer.remark:
         typer.echo(answer.remark, err=True)
     if answer.failure:
         raise NotComputable(answer.failure)
-    if answer.refuses_input:
-        raise typer.Exit(WRONG_INPUT)
+
+
+def end_with_errors(answer: "Answer") -> None:
+    """Leave with exit code 1 if the answer has a finding that is an error.
+
+    The sentence has its code alone: what was found stands in the answer.
+    """
+    codes = dict.fromkeys(x.code for x in answer.findings if x.severity is Severity.ERROR)
+    if codes:
+        raise NotComputable(
+            f"an error was found ({', '.join(codes)}); do not use the numbers before its cause is "
+            "known"
+        )
 
 
 def print_result(found: Any, *lines: str, as_json: bool) -> None:

@@ -11,7 +11,7 @@ import typer.core
 from typing_extensions import override
 
 import identknee as ik
-from identknee.cli.command import Command, CommandGroup, Json, finished
+from identknee.cli.command import Command, CommandGroup, Json, Verbose, end_with_errors, finished
 from identknee.laxity.named_tables import TABLES
 from identknee.runs.files import write_atomically
 from identknee.subject.examples import named_subject
@@ -66,11 +66,13 @@ def command_of(verb: Verb) -> typer.core.TyperCommand:
     def called(context: typer.Context, **_: Any) -> None:
         arguments = dict(context.params)
         as_json, out = arguments.pop("as_json"), arguments["out"]
+        is_verbose = arguments.pop("is_verbose")
         if verb.beginning and not as_json:
             typer.echo(verb.beginning.format(**arguments), err=True)
         call = verb.call
         answer = call(**{k: arguments[k] for k in parameters_in_full(call) if k in arguments})
-        finished(answer, out, then=verb.then.format(out=out), as_json=as_json)
+        then = verb.then.format(out=out)
+        finished(answer, out, then=then, as_json=as_json, is_verbose=is_verbose)
         # What follows loads matplotlib, which takes longer than most mistakes.
         if verb.has_pictures:
             from identknee.report.figures import png
@@ -87,6 +89,7 @@ def command_of(verb: Verb) -> typer.core.TyperCommand:
             write_report(out, out / PAGE)
             if not as_json:
                 typer.echo(f"Open in a browser: {out / PAGE}")
+        end_with_errors(answer)
 
     more = [description_of(verb.call), *([RESUMES] if verb.resumes else [])]
     called.__doc__ = f"{verb.summary}\n\n{' '.join(more)}".strip()
@@ -116,8 +119,9 @@ def _parameters(verb: Verb) -> Iterator[inspect.Parameter]:
     for name in sorted(given, key=lambda x: (x in LAST and 1 + LAST.index(x), x not in known)):
         if option_of(given[name].annotation).is_typed:
             yield _parameter(given[name], verb)
-    json = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False)
-    yield json.replace(annotation=Json)
+    for name, annotation in (("as_json", Json), ("is_verbose", Verbose)):
+        own = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
+        yield own.replace(annotation=annotation)
 
 
 def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:

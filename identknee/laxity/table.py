@@ -1,6 +1,7 @@
 """Laxity tables: reading, writing, comparing, noise, and those of named subjects."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from identknee.laxity.angles import coordinate_turns, flexion_turns, is_from_straight
+from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -24,13 +27,15 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
+from identknee.laxity.storage import SUFFIXES
 from identknee.laxity.table_file import (
-    OPENSIM,
     STATEMENT,
     TIME,
     CellFile,
     TableRow,
+    angles,
     correlation_fault,
+    is_held,
     levels,
     mean_curves,
     statements,
@@ -48,6 +53,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike, write_atomically
+from identknee.runs.findings import Finding, finding
 
 COORDINATES = (
     "lateral_shift_mm",
@@ -79,6 +85,8 @@ OPPOSITE_COORDINATES = {
 OPPOSITES = {**OPPOSITE_LOADS, **OPPOSITE_COORDINATES}
 # Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
 NOISE_LIMITS = (1e-9, 1e6)
+# No joint turns so far, so that its angles were no radians.
+MOST_TURNED_DEG = 400.0
 # Beyond these a table is in other units or of other axes.
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
@@ -130,6 +138,11 @@ class Laxity:
         "opposite load, and the name of a trial where they are changes from that one",
         default="absolute",
     )
+    findings: tuple[Finding, ...] = entry(
+        "Findings: what reading a file did to its numbers; answers have them among their own",
+        is_in_json=False,
+        default=(),
+    )
 
     def __post_init__(self) -> None:
         coordinates = self.coordinates
@@ -177,11 +190,15 @@ class Laxity:
             phase=None if self.phase is None else tuple(self.phase[i] for i in chosen),
             comments=self.comments,
             zero=self.zero,
+            findings=self.findings,
         )
 
 
-def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
+def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
     """Laxity of a CSV file with one row a trial, or of a named subject such as ``"s192803"``.
+
+    A pandas ``DataFrame`` is read by the same rules: NaN is a blank, a named index is a column, and
+    ``attrs`` hold what comment lines state, as in ``frame.attrs["zero"] = "unloaded"``.
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
     ones in `OPPOSITES`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
@@ -202,7 +219,7 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
         If the file breaks a rule; the message names the row (the line number in the file), the
         column and what to do.
     """
-    with CellFile.open(laxity_file(path)) as file:
+    with CellFile.open(path if is_frame(path) else laxity_file(path)) as file:
         file.read_renamed_columns()
         file.read_opposite_columns(OPPOSITES)
         is_series = TIME in file.columns
@@ -230,6 +247,7 @@ def read_laxity(path: PathLike, *, is_measured: bool = True) -> Laxity:
         within_trial_correlation=said.correlation,
         comments=said.comments,
         zero=said.zero,
+        findings=tuple(file.findings),
         **extra,
     )
 
@@ -338,14 +356,16 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
     numbers: list[tuple[float, ...]] = []
     order: list[int] = []
     phase: list[str] = []
-    for row in file.rows():
+    rows = list(file.rows())
+    _turn_angles(file, rows)
+    for row in rows:
         name = row.text("trial")
         if fault := name_fault(name):
             row.refuse("trial", *fault)
         if name in names:
             row.refuse(
                 "trial",
-                f"{name!r} already names the trial of row {names[name]}",
+                f"{name!r} already names the trial of {file.place(names[name])}",
                 "Give each trial its own name; replicates of one load are welcome.",
             )
         names[name] = row.line
@@ -375,13 +395,62 @@ def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
     _check_coordinates(file)
     ramps: list[str] = []
     samples: list[tuple[float, ...]] = []
-    for row in file.rows():
+    cells = list(file.rows())
+    _turn_angles(file, cells)
+    for row in cells:
         ramps.append(row.text("trial") or file.path.stem)
         samples.append((row.required(TIME), *_setting(row), *_measured(row)[: len(COORDINATES)]))
     if not samples:
         raise InputError(file.path, "", "there is no sample below the header", "Add some.")
-    names, rows = mean_curves(file.path, ramps, np.array(samples), levels(file))
+    made = np.array(samples)
+    names, rows = mean_curves(file.path, ramps, made, levels(file), angles(file))
+    groups = {x: made[[i for i, y in enumerate(ramps) if y == x]] for x in dict.fromkeys(ramps)}
+    for ramp, own in groups.items():
+        if is_held(own):
+            span = (float(own[:, 1].min()), float(own[:, 1].max()))
+            values = {"ramp": ramp, "from_deg": span[0], "to_deg": span[1]}
+            file.findings.append(finding("flexed-under-load", ramp, values))
     return names, rows, {}
+
+
+def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
+    """Add to angles the whole turns that cut them off, and refuse flexion from a straight knee."""
+    for column in (FLEXION, *(x for x in COORDINATES if x.endswith("_deg"))):
+        if column not in file.columns:
+            continue
+        values = np.array([_known(row, column) for row in rows])
+        if column in file.unsaid and values.size and np.nanmax(np.abs(values)) > MOST_TURNED_DEG:
+            why = (
+                "no line inDegrees says how angles are counted, and in radians these are too large"
+            )
+            file.refuse(1, column, why, "Write inDegrees=yes above endheader if they are degrees.")
+        if column == FLEXION and is_from_straight(values):
+            own = file.sources.get(column, (column, 1.0, 0.0))[0]
+            row = rows[int(np.nanargmax(values))]
+            why = f"flexion counts from a straight knee at 180 deg, here {row.number(column):g} deg"
+            row.refuse(
+                column, why, f"Write as a line of the file: # column: {column} = 180 - {own}"
+            )
+        turns = (flexion_turns if column == FLEXION else coordinate_turns)(values)
+        if turned := np.flatnonzero(turns).tolist():
+            file.turns |= {(rows[i].line, column): turns[i] for i in turned}
+            first = turned[0]
+            values_said = {
+                "n": len(turned),
+                "column": column,
+                "given_deg": float(values[first]),
+                "read_deg": float(values[first] + turns[first]),
+            }
+            file.findings.append(finding("angle-turned", column, values_said))
+
+
+def _known(row: TableRow, column: str) -> float:
+    """A number that is there; NaN for all that is refused where it is read."""
+    try:
+        value = row.number(column)
+    except InputError:
+        return math.nan
+    return math.nan if value is None else value
 
 
 def _checked_sd(sd: Array | None, coordinates: Array) -> Array | None:
@@ -431,7 +500,8 @@ def _measured(row: TableRow) -> list[float]:
     coordinates, spreads = [], []
     for column, sd in zip(COORDINATES, _SD, strict=True):
         value = row.number(column, "nothing was measured")
-        if value is not None and (fault := _coordinate_fault(column, value)):
+        is_turned = (row.line, column) in row.file.turns
+        if value is not None and not is_turned and (fault := _coordinate_fault(column, value)):
             row.refuse(column, *fault)
         spread = row.number(sd, "its coordinate is blank too")
         if spread is not None and spread <= 0:
@@ -631,31 +701,34 @@ def add_noise(
     )
 
 
-_TABLE_FILES = (".csv", *OPENSIM)
+TABLE_FILES = (".csv", *SUFFIXES)
 
-TrialsLike = Protocol | PathLike
+# Without `Laxity`, which stands for data in the types of verbs; it is read like a frame.
+TrialsLike = Protocol | Frame | PathLike
 """A protocol, the name or file of one, or a laxity table whose trials are meant."""
 
 
-def read_tests(given: TrialsLike) -> Protocol | Laxity:
+def read_tests(given: TrialsLike | Laxity) -> Protocol | Laxity:
     """The trials of a protocol or table, as a laxity table if they come from one.
 
     Parameters
     ----------
     given
-        A protocol, the name of one (``"seed63"``), its TOML file, a laxity table (CSV), or the name
-        of a subject that comes with measured laxity (``"s192803"``). The table need not hold any
-        measured value.
+        A protocol, the name of one (``"seed63"``), its TOML file, a laxity table (CSV, `Laxity` or
+        pandas ``DataFrame``), or the name of a subject that comes with measured laxity
+        (``"s192803"``). The table need not hold any measured value.
 
     Raises
     ------
     InputError
         If there is nothing of this name, or the file breaks a rule.
     """
-    if isinstance(given, Protocol):
+    if isinstance(given, Protocol | Laxity):
         return given
+    if is_frame(given):
+        return read_laxity(given, is_measured=False)
     path = Path(given)
-    if given in TABLES or path.suffix.lower() in _TABLE_FILES:
+    if given in TABLES or path.suffix.lower() in TABLE_FILES:
         return read_laxity(given, is_measured=False)
     if given not in BUILT_IN and path.suffix == "" and not path.exists():
         raise InputError(
@@ -668,7 +741,7 @@ def read_tests(given: TrialsLike) -> Protocol | Laxity:
     return load_protocol(given)
 
 
-def read_trials(given: TrialsLike) -> Protocol:
+def read_trials(given: TrialsLike | Laxity) -> Protocol:
     """The trials of a protocol or table; see `read_tests`.
 
     Examples

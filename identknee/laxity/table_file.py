@@ -13,9 +13,12 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
+from identknee.laxity.angles import default_angles
+from identknee.laxity.data_frame import NAME, Frame, frame_text, is_frame
 from identknee.laxity.protocol import (
     ABSOLUTE,
     DIRECTIONS,
+    FLEXION_LIMITS_DEG,
     SAME_FLEXION_DEG,
     STRAY,
     TYPICAL,
@@ -24,14 +27,24 @@ from identknee.laxity.protocol import (
     Protocol,
     zero_fault,
 )
+from identknee.laxity.storage import (
+    DEG,
+    IN_DEGREES,
+    SUFFIXES,
+    Counted,
+    as_csv,
+    counted,
+)
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
+from identknee.runs.findings import Finding, finding
 
-OPENSIM, OPENSIM_END = (".sto", ".mot"), "endheader"
-DEG = 57.29577951308232
-COLUMN = re.compile(r"column\s*:\s*(\w+)\s*=\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)", re.IGNORECASE)
+COLUMN = re.compile(
+    r"column\s*:\s*(\w+)\s*=\s*(?:([0-9.]+)\s*(?=[+-]))?([+-]?)\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)",
+    re.IGNORECASE,
+)
 SEPARATOR = re.compile(r'"?sep=([,;\t])"?[,;\t]*', re.IGNORECASE)
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
@@ -56,14 +69,25 @@ class CellFile:
         What stands between cells: a comma or, where the header says so, a semicolon or a tab. Only
         then may numbers have a decimal comma.
     sources
-        Column in the file, and the factor of its values, by the name that it is read under.
+        Column in the file, the factor of its values, and what is added to them, by the name that it
+        is read under.
+    turns
+        Whole turns that are added to a cell [deg], by line and column.
+    unsaid
+        Angles of a storage that nothing but OpenSim's own rule makes radians.
+    findings
+        What was done to the numbers of the file.
     """
 
-    def __init__(self, path: Path, file: TextIO) -> None:
+    def __init__(self, path: Path, file: TextIO, places: Sequence[str] = ()) -> None:
         self.path = path
+        self._places = places
         self.comments: list[tuple[int, str]] = []
         self.delimiter = ","
-        self.sources: dict[str, tuple[str, float]] = {}
+        self.sources: dict[str, tuple[str, float, float]] = {}
+        self.turns: dict[tuple[int, str], float] = {}
+        self.unsaid: tuple[str, ...] = ()
+        self.findings: list[Finding] = []
         self._lines = self._data_lines(file)
         self.header_line, names = self._header()
         self.columns = {name: position for position, name in enumerate(names)}
@@ -74,8 +98,8 @@ class CellFile:
 
     @classmethod
     @contextmanager
-    def open(cls, path: PathLike) -> Iterator[Self]:
-        """The file at `path`, its header read.
+    def open(cls, path: PathLike | Frame) -> Iterator[Self]:
+        """The file at `path`, or the data frame, its header read.
 
         In an OpenSim storage (``.sto``, ``.mot``) the lines above the column names are comments,
         and cells that say nan are blank.
@@ -85,10 +109,14 @@ class CellFile:
         InputError
             If it cannot be read or has no header.
         """
+        if is_frame(path):
+            text, places = frame_text(path)
+            yield cls(Path(NAME), io.StringIO(text), places)
+            return
         checked = check_readable(path)
         with checked.open(encoding="utf-8-sig", newline="") as file:
-            is_storage = checked.suffix.lower() in OPENSIM
-            yield cls(checked, io.StringIO(_as_csv(file)) if is_storage else file)
+            is_storage = checked.suffix.lower() in SUFFIXES
+            yield cls(checked, io.StringIO(as_csv(file)) if is_storage else file)
 
     def check_columns(self, known: Iterable[str], required: Iterable[str]) -> None:
         """Accept the header if all its columns are known and none is missing.
@@ -146,32 +174,56 @@ class CellFile:
             if not text.lower().startswith("column"):
                 continue
             found = COLUMN.fullmatch(text.rstrip(",; "))
-            if found is None or not (found[2] is None or NUMBER.fullmatch(found[2])):
+            numbers = () if found is None else (x for x in (found[2], found[4]) if x is not None)
+            if found is None or not all(NUMBER.fullmatch(x) for x in numbers):
                 remedy = "Write for example: # column: internal_deg = -57.3 * rotation."
                 self.refuse(line, "", f"{text!r} does not say which column is which", remedy)
-            name, source = found[1], found[4]
+            name, source = found[1], found[6]
             if source not in self.columns:
                 self.refuse(
                     line, "", f"there is no column {source}", suggestion(source, self.columns)
                 )
             if name in self.columns and name != source:
                 self.refuse(line, "", f"{name} is there already", "Remove one of the two.")
-            self._read_as(name, source, float(found[2] or 1.0) * (-1.0 if found[3] else 1.0))
+            sign = -1.0 if (found[3] == "-") != bool(found[5]) else 1.0
+            self._read_as(name, source, sign * float(found[4] or 1.0), float(found[2] or 0.0))
 
-        if self._is_storage and "time" in self.columns:
-            self._read_as("time_s", "time", 1.0)
-        if any(re.fullmatch(r"indegrees\s*=\s*no", text.lower()) for _, text in self.comments):
-            for name in [x for x in self.columns if x.endswith("_deg")]:
-                self._read_as(name, name, DEG)
+        if self._is_storage:
+            if "time" in self.columns:
+                self._read_as("time_s", "time", 1.0)
+            self._count_in_degrees()
+
+    def _count_in_degrees(self) -> None:
+        """Read the angles of an OpenSim storage in degrees, however they are counted there."""
+        how = counted((text for _, text in self.comments), self.path.suffix)
+        if how is Counted.CONTRADICTED:
+            why = (
+                "this .mot file has no version, so that OpenSim reads degrees despite inDegrees=no"
+            )
+            self.refuse(1, "", why, "Write version=1 if these are radians, else inDegrees=yes.")
+        if how is Counted.DEGREES:
+            return
+        turned = []
+        for name in [x for x in self.columns if x.endswith("_deg")]:
+            source, factor, offset = self.sources.get(name, (name, 1.0, 0.0))
+            # A factor that makes degrees of radians says itself what it is for.
+            if not IN_DEGREES[0] <= abs(factor) <= IN_DEGREES[1]:
+                self.sources[name] = source, factor * DEG, offset
+                turned.append(name)
+        if turned and how is Counted.RADIANS_UNSAID:
+            self.unsaid = tuple(turned)
+            self.findings.append(
+                finding("angles-in-radians", "data", {"columns": ", ".join(turned)})
+            )
 
     @property
     def _is_storage(self) -> bool:
-        return self.path.suffix.lower() in OPENSIM
+        return self.path.suffix.lower() in SUFFIXES
 
-    def _read_as(self, name: str, source: str, factor: float) -> None:
-        before, known = self.sources.pop(source, (source, 1.0))
+    def _read_as(self, name: str, source: str, factor: float, offset: float = 0.0) -> None:
+        before, known, added = self.sources.pop(source, (source, 1.0, 0.0))
         self.columns[name] = self.columns.pop(source)
-        self.sources[name] = before, known * factor
+        self.sources[name] = before, known * factor, added * factor + offset
 
     def rows(self) -> Iterator["TableRow"]:
         """The rows below the header, in their order."""
@@ -191,8 +243,12 @@ class CellFile:
 
     def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a place in this file."""
-        place = f"row {line}, column {column}" if column else f"row {line}"
-        raise InputError(self.path, place, why, remedy)
+        row = self.place(line)
+        raise InputError(self.path, f"{row}, column {column}" if column else row, why, remedy)
+
+    def place(self, line: int) -> str:
+        """What messages call a line: its number in a file, the index of a row of a data frame."""
+        return self._places[line - 1] if line <= len(self._places) else f"row {line}"
 
     def _header(self) -> tuple[int, list[str]]:
         stated = ""
@@ -274,9 +330,14 @@ class TableRow:
         if NUMBER.fullmatch(plain):
             value = float(plain)
             if abs(value) != float("inf"):
-                factor = self.file.sources.get(column, ("", 1.0))[1]
+                _, factor, offset = self.file.sources.get(column, ("", 1.0, 0.0))
+                turn = self.file.turns.get((self.line, column), 0.0)
                 # Zero stays without a sign.
-                return value if factor == 1.0 else 0.0 + factor * value
+                return (
+                    value
+                    if (factor, offset, turn) == (1.0, 0.0, 0.0)
+                    else (0.0 + factor * value + offset + turn)
+                )
             self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
         if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
             remedy = "Write it with a decimal point."
@@ -303,17 +364,9 @@ class TableRow:
 
     def refuse(self, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a cell of this row."""
-        self.file.refuse(self.line, self.file.sources.get(column, (column, 1.0))[0], why, remedy)
-
-
-def _as_csv(file: TextIO) -> str:
-    """An OpenSim storage with its head as comments, line by line."""
-    lines, is_head = [], True
-    for line in file:
-        words = ["" if x.lower() == "nan" else x for x in line.split()]
-        lines.append(f"# {line.strip().lstrip('# ')}" if is_head else "\t".join(words))
-        is_head = is_head and line.strip().lower() != OPENSIM_END
-    return "\n".join(lines)
+        self.file.refuse(
+            self.line, self.file.sources.get(column, (column, 1.0, 0.0))[0], why, remedy
+        )
 
 
 def written(cells: Iterable[str]) -> str:
@@ -347,20 +400,27 @@ LEVELS = (50.0, 100.0)  # % of the load that every ramp reaches
 TURN = 0.2
 # A second load that is ramped by this share of the first, both beside a usual test's, is a test.
 SECOND = 0.5
+# A load that strays by less than this share of a usual test's is held.
+HELD = 0.2
 # Least standard deviation of a loading curve: no sensor resolves less [mm, deg].
 LEAST_SD = 1e-3
 
 
 def mean_curves(
-    path: Path, ramps: Sequence[str], samples: Array, levels: Sequence[float] = LEVELS
+    path: Path,
+    ramps: Sequence[str],
+    samples: Array,
+    levels: Sequence[float] = LEVELS,
+    angles: Sequence[float] = (),
 ) -> tuple[tuple[str, ...], Array]:
     """Trials of a laxity table from samples over time: their names and rows.
 
-    The load of a ramp that changes most is the one that it is about. Each way that it goes, up or
-    down, crosses a level of it once: a row has the mean of all crossings. Its standard deviations
-    are the spread of the crossings about these means, over all levels of the ramp, so that half a
-    loop's width and what differs from one cycle to the next are errors. A ramp that crosses each
-    level once has those of the others.
+    The load of a ramp that changes most is the one that it is about; where loads are held and the
+    knee is flexed, flexion takes its place, and a row is one of `angles`. Each way that it
+    goes, up or down, crosses a level of it once: a row has the mean of all crossings. Its standard
+    deviations are the spread of the crossings about these means, over all levels of the ramp, so
+    that half a loop's width and what differs from one cycle to the next are errors. A ramp that
+    crosses each level once has those of the others.
 
     Parameters
     ----------
@@ -372,6 +432,8 @@ def mean_curves(
         Time, flexion, loads and coordinates, shape ``(n, 12)``; NaN where not measured.
     levels
         Levels of the load [% of what every cycle reaches].
+    angles
+        Flexion angles at which a ramp of flexion is read [deg]; every 15 deg where there are none.
 
     Returns
     -------
@@ -382,7 +444,7 @@ def mean_curves(
     Raises
     ------
     InputError
-        If time goes back, no load of a ramp is ramped or two are, or flexion changes.
+        If time goes back, no load of a ramp is ramped or two are, or flexion changes with a load.
     """
     names: list[str] = []
     rows: list[Array] = []
@@ -390,14 +452,18 @@ def mean_curves(
     for ramp in dict.fromkeys(ramps):
         own = samples[[i for i, x in enumerate(ramps) if x == ramp]]
         axis = _ramp_load(path, ramp, own)
-        crossed = _crossings(own[:, 1:], axis, levels)
+        if axis is None:
+            crossed = _crossed_angles(path, ramp, own[:, 1:], angles)
+        else:
+            crossed = _crossings(own[:, 1:], axis, levels)
         deviations = [x - x.mean(axis=0) for _, x in crossed]
         n_free = sum(len(x) - 1 for x in deviations)
         squares = sum((x**2).sum(axis=0) for x in deviations)
         for load, values in crossed:
             rows.append(values.mean(axis=0))
-            rows[-1][1 + axis] = load
-            names.append(f"{ramp}_{WAYS[axis][0 if load > 0.0 else 1]}{abs(load):.3g}")
+            rows[-1][0 if axis is None else 1 + axis] = load
+            way = "flexion" if axis is None else WAYS[axis][0 if load > 0.0 else 1]
+            names.append(f"{ramp}_{way}{load if axis is None else abs(load):.3g}")
         spreads += [squares / n_free if n_free else np.full(11, np.nan)] * len(crossed)
     variance = np.array(spreads)[:, 6:]
     has_one = np.asarray(np.isfinite(variance).any(axis=1))
@@ -406,16 +472,43 @@ def mean_curves(
     return tuple(names), np.hstack([rows, np.maximum(sd, LEAST_SD)])
 
 
-def _ramp_load(path: Path, ramp: str, samples: Array) -> int:
-    """Index of the load that varies in a ramp."""
+def is_held(samples: Array) -> bool:
+    """Whether loads are held in these samples of a ramp while the knee is flexed."""
+    # What a rig lets a held load stray for a moment is no load of a test.
+    low, high = np.percentile(samples[:, 2:7], (5.0, 95.0), axis=0)
+    is_still = np.all((high - low) / TYPICAL < HELD)
+    return bool(is_still and np.ptp(samples[:, 1]) > SAME_FLEXION_DEG)
+
+
+def _crossed_angles(
+    path: Path, ramp: str, values: Array, angles: Sequence[float]
+) -> list[tuple[float, Array]]:
+    """Each flexion angle of a ramp of flexion, and the values where it is crossed."""
+    flexion = values[:, 0]
+    wanted = angles or default_angles(float(flexion.min()), float(flexion.max()))
+    ends = _turning_points(flexion)
+    found = [(x, _crossed(values, 0, x, ends)) for x in wanted]
+    reached = [(x, np.array(rows)) for x, rows in found if rows]
+    if not reached:
+        why = f"flexion goes from {flexion.min():.3g} to {flexion.max():.3g} deg"
+        raise InputError(path, f"ramp {ramp}", why, "State angles between them: # angles: 30, 60.")
+    return reached
+
+
+def _ramp_load(path: Path, ramp: str, samples: Array) -> int | None:
+    """Index of the load that varies in a ramp; None where flexion does and loads are held."""
     where = f"ramp {ramp}"
     if (np.diff(samples[:, 0]) < 0.0).any():
         why, remedy = "time goes back", "Give each ramp a name of its own in a column trial."
         raise InputError(path, where, why, remedy)
+    if is_held(samples):
+        return None
     changes = np.ptp(samples[:, 1:7], axis=0)
     if changes[0] > SAME_FLEXION_DEG:
-        why = f"flexion changes by {changes[0]:.1f} deg"
-        remedy = "Give one flexion angle a ramp, named in a column trial."
+        why = f"flexion changes by {changes[0]:.1f} deg while a load changes"
+        remedy = (
+            "Give each angle, or each load that is held while flexing, a name in a column trial."
+        )
         raise InputError(path, where, why, remedy)
     shares = changes[1:] / TYPICAL
     second, first = (int(x) for x in np.argsort(shares)[-2:])
@@ -442,22 +535,29 @@ def _crossings(values: Array, axis: int, levels: Sequence[float]) -> list[tuple[
         reached = farthest[farthest > 0.5 * top].min()
         for level in levels:
             at = sign * reached * level / 100.0
-            rows = []
-            for i, j in itertools.pairwise(ends):
-                if not min(load[i], load[j]) <= at <= max(load[i], load[j]):
-                    continue
-                branch = values[i : j + 1]
-                order = np.argsort(branch[:, 1 + axis], kind="stable")
-                along, columns = branch[order, 1 + axis], branch[order].T
-                known = ~np.isnan(columns)
-                crossed = [
-                    np.interp(at, along[is_there], column[is_there]) if is_there.any() else np.nan
-                    for column, is_there in zip(columns, known, strict=True)
-                ]
-                rows.append(crossed)
-            if rows:
+            if rows := _crossed(values, 1 + axis, at, ends):
                 found.append((at, np.array(rows)))
     return found
+
+
+def _crossed(values: Array, column: int, at: float, ends: Sequence[int]) -> list[list[float]]:
+    """The values where a column crosses a level, one row a crossing between two of its turns."""
+    rows = []
+    for i, j in itertools.pairwise(ends):
+        first, last = sorted((values[i, column], values[j, column]))
+        if not first <= at <= last:
+            continue
+        branch = values[i : j + 1]
+        order = np.argsort(branch[:, column], kind="stable")
+        along, columns = branch[order, column], branch[order].T
+        known = ~np.isnan(columns)
+        rows.append(
+            [
+                float(np.interp(at, along[is_there], x[is_there])) if is_there.any() else np.nan
+                for x, is_there in zip(columns, known, strict=True)
+            ]
+        )
+    return rows
 
 
 def _turning_points(load: Array) -> list[int]:
@@ -480,7 +580,7 @@ def _turning_points(load: Array) -> list[int]:
 # Five errors can share a correlation above -1/4 only: their covariance must stay positive.
 CORRELATION_LIMITS = (-0.25, 1.0)
 STATEMENT = re.compile(
-    r"(within_trial_correlation|zero|column|levels|translations)\s*:\s*(.*)", re.IGNORECASE
+    r"(within_trial_correlation|zero|column|levels|angles|translations)\s*:\s*(.*)", re.IGNORECASE
 )
 
 
@@ -529,12 +629,14 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
         if found is None:
             free.append(text)
             continue
-        if found[1].lower() in {"column", "levels"}:
+        if found[1].lower() in {"column", "levels", "angles"}:
             continue
         # A spreadsheet pads every line with separators.
         name, value = found[1].lower(), found[2].rstrip(",; ")
         if name in lines:
-            file.refuse(line, "", f"{name} is stated in row {lines[name]} too", "Remove one.")
+            file.refuse(
+                line, "", f"{name} is stated in {file.place(lines[name])} too", "Remove one."
+            )
         lines[name], stated[name] = line, value
     try:
         correlation = float(stated["within_trial_correlation"])
@@ -569,13 +671,31 @@ def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: s
 
 def levels(file: CellFile) -> tuple[float, ...]:
     """Levels of the load at which loading curves are read [% of what every cycle reaches]."""
+    remedy = "Write percentages above 0, such as: # levels: 50, 100."
+    known = _stated_numbers(file, "levels", (1e-9, 100.0), "are no levels of a load", remedy)
+    return known or LEVELS
+
+
+def angles(file: CellFile) -> tuple[float, ...]:
+    """Flexion angles at which a ramp of flexion is read [deg]; none where the file states none."""
+    remedy = "Write degrees, such as: # angles: 0, 30, 60, 90."
+    return _stated_numbers(file, "angles", FLEXION_LIMITS_DEG, "are no flexion angles", remedy)
+
+
+def _stated_numbers(
+    file: CellFile, name: str, limits: tuple[float, float], why: str, remedy: str
+) -> tuple[float, ...]:
+    """The numbers that a comment line states, each once; none where there is no such line."""
     for line, text in file.comments:
-        name, _, words = text.partition(":")
-        if name.strip().lower() == "levels":
+        said, _, words = text.partition(":")
+        if said.strip().lower() == name:
             numbers = [x for x in re.split(r"[,;%\s]+", words) if x]
             known = tuple(float(x) for x in numbers if NUMBER.fullmatch(x))
-            if known and len(known) == len(numbers) and 0.0 < min(known) <= max(known) <= 100.0:
+            if (
+                known
+                and len(known) == len(numbers)
+                and limits[0] <= min(known) <= max(known) <= limits[1]
+            ):
                 return tuple(dict.fromkeys(known))
-            why = f"{words.strip()!r} are no levels of a load"
-            file.refuse(line, "", why, "Write percentages above 0, such as: # levels: 50, 100.")
-    return LEVELS
+            file.refuse(line, "", f"{words.strip()!r} {why}", remedy)
+    return ()

@@ -17,6 +17,8 @@ class Opening:
     """The sentences before everything else; none at a sound fit."""
 
     sentences: tuple[str, ...] = entry("With their numbers, and the next command last")
+    brief: tuple[str, ...] = entry("The same, each with its first finding alone")
+    n_brief: int = entry("Findings that the brief ones say", unit="1")
     findings: tuple[Finding, ...] = entry("Findings that need not be said again")
 
     def without(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -30,7 +32,7 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
     given = list(answers)
     found = {x.identity: x for answer in given for x in answer.findings if x.kind.doubt is not None}
     command = _command(given)
-    sentences, said = list[str](), list[Finding]()
+    sentences, brief, said = list[str](), list[str](), list[Finding]()
     is_command_said = not command
     for doubt in Doubt:
         own = sorted(
@@ -46,13 +48,19 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
             is_command_said = True
         if kind.lead:
             sentences.append(kind.sentence(*(x.detail for x in told)))
+            brief.append(kind.sentence(told[0].detail))
         else:
             sentences.append(told[0].sentence)
+            brief.append(told[0].sentence)
         # An error of the data is no less of one after its misfit was told.
         said += [*told, *(x for x in own if x.severity is not Severity.ERROR)]
+    n_brief = len(brief)
     if sentences and not is_command_said:
         sentences.append(f"Next: {command}")
-    return Opening(sentences=tuple(sentences), findings=tuple(said))
+        brief.append(sentences[-1])
+    return Opening(
+        sentences=tuple(sentences), brief=tuple(brief), n_brief=n_brief, findings=tuple(said)
+    )
 
 
 def _command(answers: Iterable[Answer]) -> str:

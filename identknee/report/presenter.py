@@ -179,11 +179,14 @@ class Presenter(Generic[Given]):
         Figures that stand elsewhere, by their names.
     is_folded
         Whether all their figures are one click away.
+    is_brief
+        Whether all that they say is the answer, so that a command prints it all.
     """
 
     question: ClassVar[Question] = Question.KNOWN
     questions: ClassVar[Mapping[str, Question]] = {}
     is_folded: ClassVar[bool] = False
+    is_brief: ClassVar[bool] = False
 
     def statements(self, answer: Given) -> Iterator[Statement]:
         """What the answer says, its main sentence first."""

@@ -1,22 +1,96 @@
 """What answers are printed and drawn by: text here, figures and notebooks when they are wanted."""
 
 import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from identknee.report.opening import opening_of
-from identknee.report.presenter import assumption_sentences, main_statements, statements_of
-from identknee.runs.findings import finding_lines
+from identknee.report.presenter import (
+    Question,
+    Statement,
+    assumption_sentences,
+    main_statements,
+    presenter_of,
+    statements_of,
+)
+from identknee.runs.findings import (
+    Finding,
+    Severity,
+    by_severity,
+    finding_lines,
+    without_repeats,
+)
+from identknee.runs.words import listed
 from identknee.verbs.answer import Answer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH, MOST_LINES = 100, 25
+# Findings that a command prints, and the length of a sentence that is printed as it is.
+MOST_FINDINGS, LONGEST = 3, 240
 
 
 def full_text(answer: Answer) -> str:
     """All that the answer says."""
     return "\n".join(terminal_lines(answer))
+
+
+def brief_text(answer: Answer) -> str:
+    """What a command prints: the answer, its table, and what changes what the reader does."""
+    return "\n".join(brief_lines(answer))
+
+
+def brief_lines(answer: Answer) -> list[str]:
+    """The main sentences, each with its first table, the gravest findings, and a count of the rest.
+
+    All of it is in `terminal_lines`, in the files and in the report.
+    """
+    if presenter_of(answer).is_brief:
+        return terminal_lines(answer)
+    opening = opening_of([answer])
+    lines = list(opening.brief)
+    statements = statements_of(answer)
+    main = _main(statements)
+    for statement in main:
+        lines += [statement.sentence, *(f"\n{x}\n" for x in statement.tables[:1])]
+    # One line less on a screen; between statements the empty line is needed.
+    lines[-1] = lines[-1].rstrip("\n")
+    rest = by_severity(opening.without(answer.findings))
+    telling = [x for x in rest if x.severity is not Severity.INFO]
+    # However many there are, no error goes by.
+    n_errors = sum(x.severity is Severity.ERROR for x in telling)
+    shown = telling[: max(MOST_FINDINGS - opening.n_brief, n_errors)]
+    lines += [_brief_line(x) for x in shown]
+    counts = {
+        "finding": len(without_repeats(answer.findings)) - opening.n_brief - len(shown),
+        "assumption": len(assumption_sentences(answer)),
+        "table": sum(len(x.tables) for x in statements) - sum(len(x.tables[:1]) for x in main),
+    }
+    more = listed(f"{n} {word}{'s' * (n > 1)}" for word, n in counts.items() if n > 0)
+    return [*lines, f"{more} more: --verbose, or the report"] if more else lines
+
+
+def _main(statements: Sequence[Statement]) -> list[Statement]:
+    """The answer, what to do next, and the first numbers where these have none."""
+    is_main = [x.is_answer or x.question is Question.NEXT for x in statements]
+    if not any(x.is_answer for x in statements):
+        is_main[:1] = [True]
+    if not any(x.tables for x, is_said in zip(statements, is_main, strict=True) if is_said):
+        first = next((k for k, x in enumerate(statements) if x.tables), 0)
+        is_main[first : first + 1] = [True]
+    return [x for x, is_said in zip(statements, is_main, strict=True) if is_said]
+
+
+def _brief_line(finding: Finding) -> str:
+    """A finding on a line or two: its sentence, or what its kind means if that is long.
+
+    An error is said whole: it is what has to be found.
+    """
+    kind, is_error = finding.kind, finding.severity is Severity.ERROR
+    if is_error or len(finding.sentence) <= LONGEST or not kind.code:
+        return finding.line
+    return f"{finding.severity.prefix}{finding.where}: {kind.meaning} {kind.remedy}".rstrip()
 
 
 def terminal_lines(answer: Answer) -> list[str]:

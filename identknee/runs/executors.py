@@ -12,6 +12,7 @@ import os
 import pickle
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -106,7 +107,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     ValueError
         If `n_workers` is less than 1.
     WorkerTerminated
-        By the map, if a worker ends before its task.
+        By the map, if a worker ends before its task, or cannot start; the message says which.
     InputError
         By the map, if there is no room for the function in the folder of temporary files.
     """
@@ -114,6 +115,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
     if n_workers == 1:
         yield serial
         return
+    _end_if_importing_script()
     context = multiprocessing.get_context("spawn")
     # Nothing is ever sent: its end is the sign for workers to end, busy or not.
     line, ours = context.Pipe(duplex=False)
@@ -121,6 +123,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
         line,
         ours,
         tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder,
+        _named_to_workers(folder),
     ):
         pool = ProcessPoolExecutor(
             n_workers,
@@ -153,10 +156,66 @@ class _Processes:
         try:
             yield from self._pool.map(partial(_apply, str(path)), items)
         except BrokenProcessPool as error:
-            raise WorkerTerminated(
+            raise WorkerTerminated(self._why_broken()) from error
+
+    def _why_broken(self) -> str:
+        """Why a worker ended, and what to do."""
+        script = str(getattr(sys.modules["__main__"], "__file__", ""))
+        guard = f'put what {Path(script).name} does under: if __name__ == "__main__":'
+        if (self._folder / UNGUARDED).exists():
+            return (
+                f"worker processes import {Path(script).name}, which starts workers again when it "
+                f"is imported; {guard}"
+            )
+        if (self._folder / STARTED).exists():
+            return (
                 "a worker process ended before its task was done, perhaps out of memory; "
                 "try fewer workers"
-            ) from error
+            )
+        if script and not Path(script).exists():
+            return (
+                "worker processes import the script that starts them, and this one is no file; "
+                "save it as a file, or use 1 worker"
+            )
+        return (
+            "no worker process could start: each imports the script first, which failed as is said "
+            f"above; {guard}"
+            if script
+            else "no worker process could start; try 1 worker"
+        )
+
+
+# What workers leave in the folder of their pool: that one has started, and that one was about to
+# start workers of its own because it imported a script without a guard.
+STARTED, UNGUARDED = "started", "unguarded"
+# Where a worker finds that folder before it is told.
+POOL = "IDENTKNEE_POOL"
+
+
+@contextmanager
+def _named_to_workers(folder: str) -> Iterator[None]:
+    before = os.environ.get(POOL)
+    os.environ[POOL] = folder
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(POOL, None)
+        else:
+            os.environ[POOL] = before
+
+
+def _end_if_importing_script() -> None:
+    """End a worker that imports a script which starts workers when it is imported.
+
+    Python would refuse, with a trace of each worker; the parent says it once.
+    """
+    folder = os.environ.get(POOL)
+    # As Python itself finds it out.
+    is_importing = getattr(multiprocessing.current_process(), "_inheriting", False)
+    if folder is not None and is_importing:
+        (Path(folder) / UNGUARDED).touch()
+        raise SystemExit(1)
 
 
 def _apply(path: str, item: Any) -> Any:
@@ -215,6 +274,7 @@ def _check_workers(n_workers: int) -> None:
 
 def _start_worker(line: Connection, folder: str, has_log: bool) -> None:  # noqa: FBT001
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    (Path(folder) / STARTED).touch()
     use_one_library_thread()
     if has_log:
         log_warnings()

@@ -82,8 +82,7 @@ class FindingKind:
         default=None,
     )
     invalidates: bool = entry(
-        "Whether nothing could be computed, or nothing computed holds. A command that finds "
-        "it writes its results and exits with 1",
+        "Whether nothing could be computed, or nothing computed holds",
         default=False,
     )
 
@@ -138,6 +137,39 @@ _ALL = (
         "places, and begin again.",
         invalidates=True,
         distinct=("coordinate",),
+    ),
+    FindingKind(
+        code="angles-in-radians",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="An OpenSim storage does not say how angles are counted, and was read in radians, "
+        "as OpenSim reads it.",
+        remedy="Write inDegrees=no above endheader, or inDegrees=yes if they are degrees.",
+        template="No line inDegrees says how angles are counted: {columns} were read in radians, "
+        "as OpenSim does. Write inDegrees=yes if they are degrees.",
+        distinct=("columns",),
+    ),
+    FindingKind(
+        code="angle-turned",
+        severity=INFO,
+        about=About.DATA,
+        meaning="Angles had a jump of a whole turn, such as 358 deg beside 2 deg, and were read "
+        "without it.",
+        remedy="Correct the table if an angle was another one.",
+        template="{n} values of {column} were read less or more a turn of 360 deg: the first, "
+        "{given_deg:g} deg, as {read_deg:g} deg.",
+        distinct=("column",),
+    ),
+    FindingKind(
+        code="flexed-under-load",
+        severity=INFO,
+        about=About.DATA,
+        meaning="A ramp of a time series is one of flexion under held loads, and was read at "
+        "flexion angles.",
+        remedy="State other angles in a line of the file, such as # angles: 0, 30, 60, 90.",
+        template="In {ramp} the knee was flexed from {from_deg:.0f} to {to_deg:.0f} deg under held "
+        "loads, so it was read at angles.",
+        distinct=("ramp",),
     ),
     FindingKind(
         code="no-loads",

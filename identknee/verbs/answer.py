@@ -58,11 +58,6 @@ class Answer:
         return sum(x.deviance for x in self.evidence) if self.evidence else float("inf")
 
     @property
-    def refuses_input(self) -> bool:
-        """Whether the answer is that the input cannot be used."""
-        return False
-
-    @property
     def remark(self) -> str:
         """What only who runs the command has to know; empty for nothing."""
         return ""
@@ -96,8 +91,12 @@ class Answer:
 
     @override
     def __str__(self) -> str:
-        """All that the result says, as the command line prints it."""
+        """All that the result says, as a command prints it with ``--verbose``."""
         return _shown(lambda x: x.full_text(self), type(self).__name__)
+
+    def brief(self) -> str:
+        """What a command prints: the answer, its table and at most three findings."""
+        return _shown(lambda x: x.brief_text(self), type(self).__name__)
 
     def _repr_html_(self) -> str:
         """The result in a notebook: its sentences, its table and one figure."""

@@ -8,7 +8,15 @@ from typing import Annotated, Literal, Unpack, get_args
 import numpy as np
 from scipy.special import stdtrit
 
-from identknee.calibrate.fit import DEGREES, Fit, fit_student, load_start, student_scales
+from identknee.calibrate.fit import (
+    DEGREES,
+    Fit,
+    StartLike,
+    fit_student,
+    load_start,
+    start_word,
+    student_scales,
+)
 from identknee.calibrate.fit import fit as search
 from identknee.calibrate.problem import (
     ROUNDING,
@@ -411,10 +419,12 @@ def fit(
     data: options.Data,
     *,
     start: Annotated[
-        str,
+        StartLike,
         option(
             "Where the search starts: subject (its own values), IG1 to IG4 of the paper, or a file "
-            "ending in .toml."
+            "ending in .toml.",
+            in_python=options.VALUES,
+            typed=str,
         ),
     ] = "subject",
     method: options.Method = "least-squares",
@@ -527,7 +537,7 @@ def fit(
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     return Calibration(
         **simulated(model, prediction),
-        start=start,
+        start=start_word(start),
         search=found,
         data=laxity,
         rmse=error,

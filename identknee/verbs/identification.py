@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.calibrate.fit import Fit, fit, load_start
+from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
     LIGAMENT_TERM,
     Problem,
@@ -197,7 +197,7 @@ def identification(
     laxity: Laxity,
     *,
     noise: NoiseLike = None,
-    start: str = "subject",
+    start: StartLike = "subject",
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
     priors: bool = False,

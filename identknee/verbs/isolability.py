@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Unpack, overload
 
+from identknee.calibrate.fit import StartLike
 from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.isolability import LEAST_DISTANCE
@@ -67,10 +68,10 @@ def isolability(
     subject: options.Subject,
     protocol: options.ProtocolName,
     noise: Annotated[
-        str | tuple[float, float],
+        str | float | tuple[float, float],
         option(
             "Standard deviations of lengths and angles, such as 0.5mm,0.5deg.",
-            in_python="A text, or two numbers in mm and deg.",
+            in_python="A text, two numbers in mm and deg, or one number for both.",
         ),
     ],
     *,
@@ -132,7 +133,7 @@ def diagnose(
     protocol: None = None,
     noise: NoiseLike = None,
     uncertain: UncertainLike = None,
-    start: str = "subject",
+    start: StartLike = "subject",
     effects: Sequence[Effect] | None = None,
     priors: bool | None = None,
     keep: Sequence[str] | None = None,
@@ -147,7 +148,7 @@ def diagnose(
     data: None = None,
     *,
     protocol: TrialsLike,
-    noise: str | tuple[float, float],
+    noise: str | float | tuple[float, float],
     uncertain: UncertainLike = None,
     out: PathLike | None = None,
     seed: int = 0,

@@ -14,6 +14,8 @@ from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get
 
 from typing_extensions import override
 
+from identknee.calibrate.fit import StartLike
+from identknee.laxity.data_frame import Frame
 from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs import executors as workers
@@ -23,7 +25,7 @@ from identknee.subject.knee import Knee, UncertainLike
 from identknee.verbs.values import BoundsLike, NoiseLike
 
 SubjectLike = Knee | PathLike
-LaxityLike = Laxity | PathLike
+LaxityLike = Laxity | Frame | PathLike
 REFERENCE = "reference"
 # The attribute of a function that holds its parameters with all that is said of them.
 IN_FULL = "__parameters_in_full__"
@@ -89,7 +91,8 @@ PROTOCOLS = (
     "seed63, table2, drawer, a protocol (TOML file), or a laxity table (CSV file, or a subject "
     "that has one)"
 )
-_A_PROTOCOL = "Or a `Protocol`."
+_A_PROTOCOL = "Or a `Protocol`, a `Laxity` or a pandas ``DataFrame``."
+_IN_MEMORY = "Or a `Laxity` or a pandas ``DataFrame``."
 _A_TABLE = "The table of measured laxity, or the name of a subject that comes with one."
 
 Subject = Annotated[
@@ -103,14 +106,14 @@ Subject = Annotated[
     ),
 ]
 Data = Annotated[
-    Laxity, argument(_A_TABLE, "DATA.csv", in_python="Or a `Laxity`.", typed=str, given=LaxityLike)
+    Laxity, argument(_A_TABLE, "DATA.csv", in_python=_IN_MEMORY, typed=str, given=LaxityLike)
 ]
 MaybeData = Annotated[
     Laxity | None,
     argument(
         f"{_A_TABLE} Leave it out with {{--protocol}}.",
         "DATA.csv",
-        in_python="Or a `Laxity`.",
+        in_python=_IN_MEMORY,
         typed=str | None,
         given=LaxityLike | None,
     ),
@@ -123,7 +126,7 @@ Noise = Annotated[
     option(
         "Standard deviations of lengths and angles, such as 0.5mm,0.5deg. They replace the {sd_} "
         "columns of the data.",
-        in_python="A text, or two numbers in mm and deg.",
+        in_python="A text, two numbers in mm and deg, or one number for both.",
         metavar="MM,DEG",
         typed=str | None,
     ),
@@ -138,18 +141,23 @@ Uncertain = Annotated[
         typed=list[str] | None,
     ),
 ]
+VALUES = "Or a dictionary of values by parameter; all others have the subject's."
 Start = Annotated[
-    str,
+    StartLike,
     option(
         "Where fits start, and the values of parameters held by {--fix}: subject (its own values), "
-        "IG1 to IG4 of the paper, or a file ending in .toml."
+        "IG1 to IG4 of the paper, or a file ending in .toml.",
+        in_python=VALUES,
+        typed=str,
     ),
 ]
 ExtraStart = Annotated[
-    str,
+    StartLike,
     option(
         "Where an extra fit of the plain model starts: IG1 to IG4 of the paper or a file ending in "
-        ".toml; subject for no extra fit."
+        ".toml; subject for no extra fit.",
+        in_python=VALUES,
+        typed=str,
     ),
 ]
 Candidates = Annotated[
@@ -161,7 +169,7 @@ Fixed = Annotated[
     option(
         "Hold this parameter at its start, such as ACL.stiffness_kN.",
         "--fix",
-        in_python="A list of names.",
+        in_python="One name or a list.",
         metavar="NAME",
     ),
 ]
@@ -179,7 +187,7 @@ Keep = Annotated[
     Sequence[str] | None,
     option(
         "Keep this trial although the table contradicts it. * stands for any letters.",
-        in_python="A list of names.",
+        in_python="One name or a list.",
         metavar="TRIAL",
     ),
 ]
@@ -188,7 +196,7 @@ LeaveOut = Annotated[
     option(
         "Leave this trial out. Trials that the table contradicts are left out anyway: see "
         "{--keep}.",
-        in_python="A list of names.",
+        in_python="One name or a list.",
         metavar="TRIAL",
     ),
 ]

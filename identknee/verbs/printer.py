@@ -13,6 +13,9 @@ class Printer(Protocol):
     def full_text(self, answer: Any) -> str:
         """All that the answer says."""
 
+    def brief_text(self, answer: Any) -> str:
+        """What a command prints of the answer."""
+
     def short_text(self, answer: Any) -> str:
         """What fits on a screen."""
 

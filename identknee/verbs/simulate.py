@@ -5,7 +5,7 @@ from typing import Annotated, Any, Unpack, get_args
 
 from typing_extensions import override
 
-from identknee.calibrate.fit import load_start
+from identknee.calibrate.fit import StartLike, load_start
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.usable_trials import path_findings
 from identknee.laxity.protocol import Protocol
@@ -166,17 +166,19 @@ def simulate(
     ] = None,
     *,
     start: Annotated[
-        str,
+        StartLike,
         option(
             "Ligament parameters: subject (its own values), IG1 to IG4 of the paper, or a file "
-            "ending in .toml. {--set} changes single ones."
+            "ending in .toml. {--set} changes single ones.",
+            in_python=options.VALUES,
+            typed=str,
         ),
     ] = "subject",
     noise: Annotated[
         NoiseLike,
         option(
             "Add noise with this standard deviation, such as 0.3mm,0.3deg.",
-            in_python="A text, or two numbers in mm and deg.",
+            in_python="A text, two numbers in mm and deg, or one number for both.",
             metavar="MM,DEG",
             typed=str | None,
         ),

@@ -238,12 +238,6 @@ class SubjectCheck(SubjectFacts):
         """How many findings should be looked at."""
         return self._count(Severity.WARNING)
 
-    @property
-    @override
-    def refuses_input(self) -> bool:
-        """Whether a finding forbids any use."""
-        return self.n_errors > 0
-
     def _count(self, severity: Severity) -> int:
         return sum(x.severity is severity for x in self.findings)
 

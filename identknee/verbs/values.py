@@ -2,7 +2,9 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
+from numbers import Real
+from typing import Any, cast
 
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
@@ -13,13 +15,15 @@ STIFFNESS, LARGEST_STIFFNESS_KN = ".stiffness_kN", 1000.0
 _NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
 
 
-NoiseLike = str | tuple[float, float] | None
+NoiseLike = str | float | tuple[float, float] | None
 ValuesLike = Sequence[str] | Mapping[str, float] | None
 BoundsLike = Sequence[str] | Mapping[str, tuple[float, float]] | None
 
 
-def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
+def noise_of(noise: str | float | tuple[float, float]) -> tuple[float, float]:
     """Standard deviations of lengths and angles [mm, deg], however they were given.
+
+    One number stands for both.
 
     Raises
     ------
@@ -28,13 +32,31 @@ def noise_of(noise: str | tuple[float, float]) -> tuple[float, float]:
     """
     if isinstance(noise, str):
         return noise_sizes(noise)
-    if len(noise) != 2:
+    given: Any = noise
+    is_truth: bool = isinstance(given, bool)
+    if isinstance(given, Real) and not is_truth:
+        given = (float(given), float(given))
+    if not isinstance(given, Sized) or len(given) != 2:
         raise ValueError(
             f"noise {noise}: these are not two sizes. Give the standard deviations of translations "
             "[mm] and of rotations [deg], for example (0.3, 0.3)"
         )
-    mm, deg = noise
+    mm, deg = cast("tuple[float, float]", given)
     return noise_sizes(f"{mm}mm,{deg}deg")
+
+
+def noise_words(noise: NoiseLike) -> str | None:
+    """Sizes of noise as they are typed, however they were given; None for None.
+
+    Examples
+    --------
+    >>> noise_words(0.3), noise_words((0.5, 1))
+    ('0.3mm,0.3deg', '0.5mm,1.0deg')
+    """
+    if noise is None or isinstance(noise, str):
+        return noise
+    mm, deg = noise_of(noise)
+    return f"{mm}mm,{deg}deg"
 
 
 def values_of(values: ValuesLike) -> dict[str, float]:

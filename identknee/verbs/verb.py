@@ -28,6 +28,7 @@ from identknee.subject.folder import read_subject
 from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
+from identknee.verbs.arguments import read_arguments
 from identknee.verbs.options import explained, parameters_in_full
 from identknee.verbs.question import question
 
@@ -198,6 +199,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
     def called(*args: Any, **kwargs: Any) -> Any:
         bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
         bound.apply_defaults()
+        bound.arguments.update(read_arguments(public, bound.arguments))
         with one_library_thread(), _run(function, bound.arguments) as (run, read, recording):
             run.start_clock()
             result = function(run, **bound.arguments | read)
@@ -326,6 +328,7 @@ def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, st
         inputs["data"] = digest(laxity_file(data))
     others = {k: x for k, x in arguments.items() if k not in ("subject", "data", "out")}
     inputs |= {k: _protocol_digest(x) for k, x in others.items() if isinstance(x, Protocol)}
+    inputs |= {k: laxity_digest(x) for k, x in others.items() if isinstance(x, Laxity)}
     read = {k: path for k, x in others.items() if (path := _file_of(x)) is not None}
     return inputs | {k: digest(path) for k, path in read.items()}
 

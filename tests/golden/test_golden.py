@@ -17,7 +17,7 @@ from identknee.cli.app import app
 from identknee.cli.verb_command import WaitingCommand, command_of
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
-from identknee.report.printer import terminal_lines
+from identknee.report.printer import brief_lines, terminal_lines
 from identknee.verbs.files import load
 
 RESULTS = Path(__file__).parents[1] / "fuzz" / "results"
@@ -39,6 +39,11 @@ COMMANDS = dict(_commands(typer.main.get_command(app)))  # type: ignore[arg-type
 @pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir()))
 def test_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
     golden(f"results/{verb}", "\n".join(terminal_lines(load(RESULTS / verb))))
+
+
+@pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir()))
+def test_a_command_prints_of_a_stored_result_what_it_printed(verb: str, golden: Golden) -> None:
+    golden(f"brief/{verb}", "\n".join(brief_lines(load(RESULTS / verb))))
 
 
 def _words(page: str) -> str:

@@ -53,6 +53,8 @@ def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
 class SubjectPresenter(Presenter[SubjectFacts]):
     """How a subject is shown."""
 
+    is_brief = True
+
     @override
     def statements(self, answer: SubjectFacts) -> Iterator[Statement]:
         yield from subject_statements(answer)
@@ -82,6 +84,8 @@ class ImportedSubjectPresenter(Presenter[ImportedSubject]):
 class SubjectCheckPresenter(Presenter[SubjectCheck]):
     """How the check of a subject is shown."""
 
+    is_brief = True
+
     @override
     def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
         yield from check_statements(answer)
@@ -89,6 +93,8 @@ class SubjectCheckPresenter(Presenter[SubjectCheck]):
 
 class SettledSubjectPresenter(Presenter[SettledSubject]):
     """How moved insertions are shown."""
+
+    is_brief = True
 
     @override
     def statements(self, answer: SettledSubject) -> Iterator[Statement]:

@@ -33,7 +33,9 @@ def test_sobol_indices_of_the_laxity(tmp_path: Path) -> None:
         stored = data.sel(group=top["group"], parameter="ACL.stiffness_kN").item()
         assert stored == top["value"]
     # More of them, in the same folder, go on from there.
-    grown = run(*WORDS, PROTOCOL, tmp_path / "short.toml", "--samples", 8, "--out", tmp_path)
+    grown = run(
+        *WORDS, PROTOCOL, tmp_path / "short.toml", "--samples", 8, "--out", tmp_path, "--verbose"
+    )
     assert grown.exit_code == 0, grown.output
     assert "index ST" in grown.stdout
     assert "of 0.02" in grown.stdout
@@ -65,7 +67,7 @@ def test_over_a_posterior(tmp_path: Path) -> None:
     folder.mkdir()
     tree = xarray.DataTree.from_dict({"posterior": data})
     tree.to_netcdf(folder / "result.nc", engine="h5netcdf")
-    words = ("--method", "pawn", "--posterior", folder, "--out", tmp_path / "out")
+    words = ("--method", "pawn", "--posterior", folder, "--out", tmp_path / "out", "--verbose")
     result = run(*WORDS, PROTOCOL, short_protocol(tmp_path), *words)
     assert result.exit_code == 0, result.output
     assert "400 simulations" in result.stdout

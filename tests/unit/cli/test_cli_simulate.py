@@ -36,7 +36,8 @@ def test_the_trials_of_a_measured_table_are_run_as_a_fit_runs_them(tmp_path: Pat
     table, out = ik.read_laxity("s192803"), tmp_path / "out"
     write_laxity(table, tmp_path / "measured.csv")
     result = run(
-        *("simulate", "s192803_bundles", "--protocol", tmp_path / "measured.csv", "--out", out)
+        *("simulate", "s192803_bundles", "--protocol", tmp_path / "measured.csv"),
+        *("--out", out, "--verbose"),
     )
     assert result.exit_code == 0, result.output
     assert "measured pose" in result.stdout

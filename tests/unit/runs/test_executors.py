@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from textwrap import indent
 
 import numpy as np
 import pytest
@@ -131,3 +132,51 @@ def worker_of_a_killed_parent(text: str, tmp_path: Path) -> int:
     while is_running(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     return worker
+
+
+IMPORTS = "import os\nfrom identknee.runs.executors import process_pool\n"
+USE = "with process_pool(2) as executor:\n    list(executor.map(abs, [1, -2]))\n"
+DYING = USE.replace("abs", "os._exit")
+
+
+@pytest.mark.parametrize(
+    ("text", "has_trace", "word"),
+    [
+        (USE, False, "__main__"),
+        (f"def main():\n{indent(USE, '    ')}\nmain()", False, "__main__"),
+        (f"try:\n{indent(USE, '    ')}\nexcept OSError:\n    pass", False, "__main__"),
+        (f"if __name__ == '__mp_main__':\n    raise OSError\n{USE}", True, "could start"),
+        (f"if __name__ == '__main__':\n{indent(DYING, '    ')}", False, "out of memory"),
+    ],
+)
+def test_workers_that_cannot_import_their_script_are_told_from_those_that_die(
+    tmp_path: Path, text: str, *, has_trace: bool, word: str
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(f"{IMPORTS}{text}")
+    ended = _ended([str(script)], tmp_path)
+    last = ended.stderr.strip().splitlines()[-1]
+    assert last.startswith("identknee.runs.executors.WorkerTerminated")
+    assert word in last
+    # The parent's own trace has two parts; workers add none where the guard is missing.
+    assert (ended.stderr.count("spawn_main") > 0) is has_trace
+
+
+def test_a_script_that_is_no_file_is_named(tmp_path: Path) -> None:
+    ended = _ended(["-"], tmp_path, given=f"{IMPORTS}{USE}")
+    assert "save it as a file" in ended.stderr.strip().splitlines()[-1]
+
+
+def _ended(
+    arguments: list[str], folder: Path, given: str | None = None
+) -> subprocess.CompletedProcess[str]:
+    root = str(Path(__file__).parents[3])
+    return subprocess.run(
+        [sys.executable, *arguments],
+        input=given,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": root, "TMPDIR": str(folder)},
+        text=True,
+        check=False,
+        timeout=120,
+    )

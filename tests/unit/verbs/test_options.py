@@ -32,7 +32,7 @@ def test_a_command_has_the_options_of_its_verb_with_their_texts_and_defaults(ver
             assert str(shown.default) == verb.folder
         elif own.default is not own.empty and own.default is not None:
             assert str(own.default) in str(shown.default)
-    assert set(command) - set(known) <= {"as_json", "seed", "workers", "help"}
+    assert set(command) - set(known) <= {"as_json", "is_verbose", "seed", "workers", "help"}
 
 
 @pytest.mark.parametrize("verb", COMMANDS, ids=lambda x: x.name)

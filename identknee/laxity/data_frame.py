@@ -1,0 +1,75 @@
+"""Tables in memory: a pandas data frame as the text of the table that it would be saved as."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from typing import Any
+from typing import Protocol as TypedProtocol
+
+from typing_extensions import TypeIs
+
+from identknee.runs.errors import InputError
+
+# What messages call it, in place of a file.
+NAME = "DataFrame"
+# What `attrs` may state, each as a comment line of a file would.
+STATED = ("zero", "within_trial_correlation", "translations", "levels", "angles")
+
+
+class Frame(TypedProtocol):
+    """What is used of a pandas ``DataFrame``; pandas itself is never imported."""
+
+    attrs: dict[Any, Any]
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns."""
+
+    @property
+    def index(self) -> Any:
+        """Names of the rows."""
+
+    def reset_index(self) -> "Frame":
+        """The frame with its index as a column."""
+
+    def to_csv(self, *, index: bool, quoting: int) -> str:
+        """Its text."""
+
+
+def is_frame(value: object) -> TypeIs[Frame]:
+    """Whether a value is a pandas data frame, or made like one."""
+    return all(hasattr(value, x) for x in ("columns", "index", "reset_index", "to_csv"))
+
+
+def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
+    """The text of a table as CSV, and what to call each of its lines.
+
+    Its ``attrs`` state what comment lines of a file do, as in ``frame.attrs["zero"] = "unloaded"``.
+    A named index is a column, so that trials may be the index. A missing value is a blank.
+
+    Raises
+    ------
+    InputError
+        If columns have names of several levels.
+    """
+    if getattr(frame.columns, "nlevels", 1) > 1:
+        why = "its columns have names of several levels"
+        raise InputError(NAME, "columns", why, "Give each column one name, such as varus_deg.")
+    attrs: Mapping[Any, Any] = getattr(frame, "attrs", {})
+    stated = [f"# {x}: {_words(attrs[x])}" for x in STATED if x in attrs]
+    labels = [_row(x) for x in frame.index]
+    # Text is quoted, so that no name of a trial is taken for a comment.
+    named = any(x is not None for x in frame.index.names)
+    text = (frame.reset_index() if named else frame).to_csv(
+        index=False, quoting=csv.QUOTE_NONNUMERIC
+    )
+    places = (*(f"attrs {x!r}" for x in STATED if x in attrs), "columns", *labels)
+    return "\n".join([*stated, text]), places
+
+
+def _words(value: Any) -> str:
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    return ", ".join(map(str, value)) if is_list else str(value)
+
+
+def _row(label: Any) -> str:
+    return f"row {label}"
