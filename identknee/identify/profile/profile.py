@@ -851,7 +851,8 @@ def optima_beyond_bounds(
 ) -> tuple[Array, ...]:
     """Likely optima outside the bounds, with twice the room for all parameters.
 
-    None are looked for beside nuisances, which make such searches too long.
+    None are looked for in a box without ends, nor beside nuisances, which make such searches too
+    long.
 
     Parameters
     ----------
@@ -865,7 +866,8 @@ def optima_beyond_bounds(
         Anything with an ordered ``map``.
     """
     parameters = problem.parameters
-    if not parameters.is_of_interest.all():
+    is_boxed = np.isfinite(parameters.upper - parameters.lower).all()
+    if not is_boxed or not parameters.is_of_interest.all():
         return ()
     most = evaluate(problem, thetas[0]).deviance + threshold
     wider = with_room_doubled(problem, parameters.names)
