@@ -492,7 +492,8 @@ def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
     medial, lateral = np.median(forces, axis=0)
     if abs(medial - lateral) <= APART_N or min(medial, lateral) > LEAST_SHARE * (medial + lateral):
         return
-    compression = -float(np.median(model.protocol.loads[is_without_varus, DISTRACTION]))
+    # Without a minus sign where there is none.
+    compression = 0.0 - float(np.median(model.protocol.loads[is_without_varus, DISTRACTION]))
     values = {
         "medial_N": medial,
         "lateral_N": lateral,
