@@ -280,7 +280,7 @@ class Laplace:
 
     @property
     def is_upper_open(self) -> BoolArray:
-        """The same of an upper end, shape ``(p,)``."""
+        """Whether an upper end is no limit that the data give, shape ``(p,)``."""
         return np.array([self._ends(i)[3] for i in range(self.theta.size)])
 
     @cached_property

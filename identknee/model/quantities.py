@@ -44,7 +44,7 @@ class PredictedQuantity:
                                 [%].
     ``contact.medial_N``        Contact force of the medial compartment: the sum of the forces of
                                 its contact elements, each along its own normal [N].
-    ``contact.lateral_N``       The same of the lateral compartment.
+    ``contact.lateral_N``       Contact force of the lateral compartment.
     ``contact.medial_x_mm``     Where that force acts, the mean place of the elements weighted by
                                 force, in the tibia's frame: x anterior, y superior, z lateral [mm].
                                 Also ``_y_mm`` and ``_z_mm``, and ``contact.lateral_...``.

@@ -69,7 +69,7 @@ from identknee.verbs.options import (
     Subject,
 )
 from identknee.verbs.question import has_priors
-from identknee.verbs.values import AdvisedTrial, Trials, advised, trials_of
+from identknee.verbs.values import AdvisedTrial, NoiseLike, Trials, advised, trials_of
 from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
 OF_MODEL = "of the model without causes (before), with them (after), with a process (absorbed)"
@@ -636,7 +636,7 @@ def diagnose_data(
         findings=without_repeats(
             (
                 *lost,
-                *_contradicted(run, kept, compared, found),
+                *_contradicted(run, kept, noise, compared, found),
                 *compared.row_findings(found),
                 *implausible_explanation(found),
                 *answer.findings,
@@ -666,21 +666,16 @@ def diagnose_data(
 
 
 def _contradicted(
-    run: Run, kept: Laxity, compared: Comparison, found: Investigation
+    run: Run, kept: Laxity, noise: NoiseLike, compared: Comparison, found: Investigation
 ) -> tuple[Finding, ...]:
     """The trials that the table contradicts, with the verdict with them beside those kept."""
     if run.trials is None or not run.trials.contradicted:
         return ()
-    rows = np.isin(kept.protocol.trials, run.trials.contradicted)
-    given = np.where(rows[:, None], run.trials.given.coordinates, kept.coordinates)
-    sd = None
-    if kept.sd is not None:
-        of_kind = np.nanmedian(kept.sd, axis=0)
-        sd = np.where(rows[:, None] & ~np.isnan(given), of_kind, kept.sd)
-        if run.trials.given.sd is not None:
-            stated = run.trials.given.sd
-            sd = np.where(rows[:, None] & ~np.isnan(stated), stated, sd)
-    whole = replace(kept, coordinates=given, sd=sd)
+    whole = with_noise(run.trials.with_contradicted, noise)
+    is_used = kept.is_measured.any(axis=1)
+    is_used |= np.isin(kept.protocol.trials, run.trials.contradicted)
+    coordinates = np.where(is_used[:, None], whole.coordinates, np.nan)
+    whole = replace(whole, coordinates=coordinates)
     return compared.table_findings(found, run.trials.contradicted, whole)
 
 

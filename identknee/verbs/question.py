@@ -46,7 +46,9 @@ class Question:
     noise_mm: float | None = entry(
         "Standard deviation of lengths, the median of those stated; null where none is", unit="mm"
     )
-    noise_deg: float | None = entry("Standard deviation of angles, likewise", unit="deg")
+    noise_deg: float | None = entry(
+        "Standard deviation of angles, the median of those stated", unit="deg"
+    )
     priors: bool = entry("Whether the priors of ligament parameters count")
     fixed: tuple[str, ...] = entry("Parameters held at the start")
     bounds: Mapping[str, tuple[float, float]] = entry("Bounds that were stated, by parameter")
