@@ -9,7 +9,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
-from identknee.calibrate.problem import Evaluation, Evaluator, ProblemWithPriors
+from identknee.calibrate.problem import (
+    Evaluation,
+    Evaluator,
+    EvidenceTerm,
+    ProblemWithPriors,
+    evidence_terms,
+)
 from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
 from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
@@ -147,6 +153,12 @@ class FittedModel:
     def residual_rows(self) -> Array:
         """Measured less predicted, whitened, then the rows of the priors, shape ``(m + p,)``."""
         return -self.evaluation.residuals
+
+    @property
+    def evidence(self) -> tuple[EvidenceTerm, ...]:
+        """Terms of the deviance of the fit."""
+        problem = whitened_problem(self.model, self.laxity, self.noise)
+        return evidence_terms(problem, self.theta)
 
     @property
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
+from typing_extensions import override
 
 from identknee.checks.fit_checks import implausible_findings
 from identknee.checks.subject_checks import rim_findings
@@ -414,6 +415,12 @@ class Diagnosis(Answer):
         "Effects of the subject extended by the causes", default=()
     )
 
+    @property
+    @override
+    def best_deviance(self) -> float:
+        """Infinite: its deviance is in units of the noise found, and compares with no other's."""
+        return float("inf")
+
     def __post_init__(self) -> None:
         trees = (
             self.parameters_before,
@@ -701,6 +708,7 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         assumptions=(knee.uncertainty.sentence,),
         uncertainty=knee.uncertainty.words,
         nuisances=base.fitted.nuisances,
+        evidence=base.fitted.evidence,
         verdict=conclusion.verdict,
         sentence=conclusion.sentence,
         p_value=conclusion.p_value,

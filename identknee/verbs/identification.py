@@ -109,7 +109,7 @@ class Identification:
         return trial_names(self.laxity)
 
     def findings_at(
-        self, theta: Array, deviance: float, fits: Sequence[Fit] = (), *, is_draw: bool = False
+        self, theta: Array, deviance: float, fits: Sequence[Fit] = ()
     ) -> tuple[Finding, ...]:
         """Findings about the best fit: table, misfit, bounds, other fits, model.
 
@@ -121,15 +121,12 @@ class Identification:
             Sum of squared residuals there, in units of their noise.
         fits
             All fits that it is the best of, nuisances among their parameters.
-        is_draw
-            Whether it is a draw of a posterior: what the data do not see is anywhere in its prior.
         """
         theta, parameters = np.asarray(theta), self.problem.parameters
         whole = self.free.expand(theta)
-        if not is_draw:
-            # A ligament far from its prior is no misfit of the model.
-            terms = evidence_terms(self.problem, theta)
-            deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
+        # A ligament far from its prior is no misfit of the model.
+        terms = evidence_terms(self.problem, theta)
+        deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
         if self.degrees_of_freedom is None:
             n = int(self.laxity.is_measured.sum())
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
@@ -143,8 +140,7 @@ class Identification:
             thetas = np.array([x.theta for x in fits])
             deviances = 2.0 * np.array([x.objective for x in fits])
             others += start_findings(thetas, deviances, fits[0].parameters)
-        if not is_draw:
-            others += nuisance_findings(*(self.nuisances_at or (self.problem, theta)))
+        others += nuisance_findings(*(self.nuisances_at or (self.problem, theta)))
         held = set(self.model.parameters.names) - set(parameters.names_of_interest)
         fitted = Fitted(
             model=self.model,

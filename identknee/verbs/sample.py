@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any, Unpack
 
 import numpy as np
-from typing_extensions import override
 
-from identknee.calibrate.problem import EvidenceTerm, Problem, evidence_terms
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import Problem, evidence_terms
 from identknee.identify.posterior.density import InfeasiblePriorMass, with_uniform_priors
 from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
@@ -38,7 +38,6 @@ from identknee.runs.declare import (
 )
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
-from identknee.runs.findings import Finding
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import (
@@ -426,12 +425,6 @@ class Sample(Answer):
     )
 
     @property
-    @override
-    def best_deviance(self) -> float:
-        """Infinite: the likeliest draw is no optimum."""
-        return float("inf")
-
-    @property
     def last_check(self) -> ConvergenceCheck | None:
         """The convergence check that decided; None where sampling never began."""
         return self.checks[-1] if self.checks else None
@@ -607,8 +600,7 @@ def sample(
         assumptions=(*setup.assumptions, *_noise_findings(setup)),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
-        evidence=_evidence(setup, posterior) if is_begun else (),
-        findings=_findings(setup, posterior),
+        **(_at_best_fit(setup, posterior) if is_begun else _without_a_draw(setup)),
     )
 
 
@@ -674,20 +666,16 @@ def _noise_findings(setup: Identification) -> tuple[str, ...]:
     return ("The posterior treats this noise as known, which makes it slightly too narrow.",)
 
 
-def _findings(setup: Identification, posterior: Posterior) -> tuple[Finding, ...]:
-    if not posterior.checks:
-        return (no_prediction_finding(setup),)
-    theta, deviance = _likeliest(posterior)
-    return setup.findings_at(theta, deviance, is_draw=True)
+def _without_a_draw(setup: Identification) -> dict[str, Any]:
+    return {"findings": (no_prediction_finding(setup),)}
 
 
-def _evidence(setup: Identification, posterior: Posterior) -> tuple[EvidenceTerm, ...]:
-    """Terms of the deviance at the draw of largest likelihood."""
-    return evidence_terms(setup.problem, _likeliest(posterior)[0])
-
-
-def _likeliest(posterior: Posterior) -> tuple[Array, float]:
-    """The draw of largest likelihood, and its deviance."""
-    best = int(np.argmax(posterior.kept_log_likelihood))
-    deviance = -2.0 * float(posterior.kept_log_likelihood.ravel()[best])
-    return posterior.kept.reshape(-1, posterior.kept.shape[-1])[best], deviance
+def _at_best_fit(setup: Identification, posterior: Posterior) -> dict[str, Any]:
+    """Terms of the deviance, and findings, at the optimum that the likeliest draw leads to."""
+    likeliest = int(np.argmax(posterior.kept_log_likelihood))
+    start = posterior.kept.reshape(-1, posterior.kept.shape[-1])[likeliest]
+    best = fit(setup.problem, start)
+    return {
+        "evidence": evidence_terms(setup.problem, best.theta),
+        "findings": setup.findings_at(best.theta, best.deviance),
+    }

@@ -77,8 +77,8 @@ def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> N
     words = ("sample", "reference", table, *HELD, "--budget", 500, "--out", tmp_path / "out")
     moves = ("--moves", "difference", "--workers", 2)
     result = run(*words, *moves, "--basins", path, "--json")
-    # What it is given to start at is no fit, so that the misfit found there is gross.
-    assert result.exit_code == 1, result.output
+    # What it is given to start at is no fit; the misfit is told at the best fit all the same.
+    assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
     assert summary["optima"] == [list(theta.values())]
     assert summary["record"]["settings"]["moves"] == "difference"
