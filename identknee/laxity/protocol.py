@@ -2,7 +2,9 @@
 
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
+from identknee.laxity.experiments import INTACT, Experiment, cuts_of, state_words
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry, name_axis
-from identknee.runs.errors import InputError, suggestion
+from identknee.runs.errors import InputError, ValueRefused, suggestion
 from identknee.runs.files import PathLike
 from identknee.runs.schema import (
     Fault,
@@ -60,9 +63,13 @@ class HeldLoads(Part):
     lateral_force_N: Number = 0.0  # noqa: N815
 
 
+State = Annotated[str, custom_message("the state {} is no text", "Put it in quotes.")]
+
+
 class Ramp(Part):
     """A ``[[ramps]]``."""
 
+    state: State = INTACT
     load: Annotated[str, BeforeValidator(_is_load)]
     flexion_deg: Numbers
     values: Numbers
@@ -74,6 +81,7 @@ class Ramp(Part):
 class Trial(HeldLoads):
     """A ``[[trials]]``."""
 
+    state: State = INTACT
     flexion_deg: Numbers
     name: Annotated[str, custom_message("the name {} is no text", "Put it in quotes.")] | None = (
         None
@@ -193,8 +201,19 @@ class Protocol:
         *("trial", "load"),
         unit="N or N m, as the load's name says",
     )
+    state: tuple[str, ...] | None = entry(
+        "State of the knee in each trial, such as `cut: ACL`; null where it is intact in all",
+        default=None,
+    )
+    experiment: tuple[str, ...] | None = entry(
+        "Experiment of each trial; null where all are of one", default=None
+    )
+    experiments: tuple[Experiment, ...] = entry(
+        "The experiments, where there are several", default=()
+    )
 
     def __post_init__(self) -> None:
+        self._check_states()
         seen: set[str] = set()
         for trial, flexion, loads in zip(self.trials, self.flexion_deg, self.loads, strict=True):
             if fault := name_fault(trial):
@@ -225,12 +244,48 @@ class Protocol:
             If an index is out of range or given twice.
         """
         chosen = selected_rows(indices, self.n)
-        return Protocol(
-            name=self.name,
+        return replace(
+            self,
             trials=tuple(self.trials[i] for i in chosen),
             flexion_deg=self.flexion_deg[chosen],
             loads=self.loads[chosen],
+            state=None if self.state is None else tuple(self.state[i] for i in chosen),
+            experiment=None
+            if self.experiment is None
+            else tuple(self.experiment[i] for i in chosen),
         )
+
+    def in_experiments_of(self, made: "Protocol") -> "Protocol":
+        """The trials, of the first of those experiments where they state none of their own."""
+        return self if self.experiments else replace(self, experiments=made.experiments)
+
+    @property
+    def series(self) -> IntArray:
+        """Number of the experiment and state of each trial, shape ``(n,)``, in their order.
+
+        Coordinates are counted from, and compared with, trials of one series alone.
+        """
+        states = (INTACT,) * self.n if self.state is None else self.state
+        names = ("",) * self.n if self.experiment is None else self.experiment
+        pairs = list(zip(names, states, strict=True))
+        number = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
+        return np.array([number[x] for x in pairs], dtype=np.int64)
+
+    def _check_states(self) -> None:
+        """Make every state one form, none where all are intact; refuse what does not fit."""
+        if self.state is not None:
+            if len(self.state) != self.n:
+                raise ValueError(f"there are {self.n} trials and {len(self.state)} states")
+            states = tuple(state_words(cuts_of(x)) for x in self.state)
+            is_cut = any(x != INTACT for x in states)
+            object.__setattr__(self, "state", states if is_cut else None)
+        if self.experiment is None:
+            return
+        known = [x.name for x in self.experiments]
+        if len(self.experiment) != self.n or not set(self.experiment) <= set(known):
+            raise ValueError(
+                f"every one of {self.n} trials needs an experiment of {', '.join(known)}"
+            )
 
     def under(self, shares: Array) -> "Protocol":
         """The trials under shares (n,) of their loads; compression stays, as a rig holds it.
@@ -245,9 +300,7 @@ class Protocol:
         loads = self.loads * shares[:, None]
         compression = LOADS.index("distraction_force_N")
         loads[:, compression] = np.minimum(self.loads[:, compression], loads[:, compression])
-        return Protocol(
-            name=self.name, trials=self.trials, flexion_deg=self.flexion_deg, loads=loads
-        )
+        return replace(self, loads=loads)
 
 
 def concatenate(protocols: Sequence[Protocol], *, name: str | None = None) -> Protocol:
@@ -271,18 +324,47 @@ def concatenate(protocols: Sequence[Protocol], *, name: str | None = None) -> Pr
     >>> both.name, both.n
     ('seed63+drawer', 69)
     """
-    rows: dict[str, tuple[float, ...]] = {}
-    for protocol in protocols:
-        for trial, flexion, loads in zip(
-            protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
-        ):
-            row = (float(flexion), *map(float, loads))
-            if rows.setdefault(trial, row) != row:
+    whole = protocols[0]
+    for added in protocols[1:]:
+        known = dict(zip(whole.trials, _trial_rows(whole), strict=True))
+        is_new = np.array([x not in known for x in added.trials], dtype=bool)
+        for trial, row in zip(added.trials, _trial_rows(added), strict=True):
+            if known.get(trial, row) != row:
                 raise ValueError(
-                    f"two different trials are called {trial!r} ({protocol.name} has one). "
+                    f"two different trials are called {trial!r} ({added.name} has one). "
                     "Rename one of them."
                 )
-    return _protocol(name or "+".join(protocol.name for protocol in protocols), rows)
+        whole = _appended(whole, added.select(is_new))
+    return replace(whole, name=name or "+".join(x.name for x in protocols))
+
+
+def _trial_rows(protocol: Protocol) -> list[tuple[Any, ...]]:
+    """Flexion, loads, state and experiment of each trial."""
+    numbers = np.column_stack([protocol.flexion_deg, protocol.loads]).tolist()
+    series = zip(*_states_and_experiments(protocol), strict=True)
+    return [(*x, *y) for x, y in zip(numbers, series, strict=True)]
+
+
+def _states_and_experiments(protocol: Protocol) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """State and experiment of each trial in words, also where none are stated."""
+    states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
+    return states, ("",) * protocol.n if protocol.experiment is None else protocol.experiment
+
+
+def _appended(first: Protocol, second: Protocol) -> Protocol:
+    (states, names), (more_states, more_names) = map(_states_and_experiments, (first, second))
+    known = {x.name: x for x in (*first.experiments, *second.experiments)}
+    # Trials added to experiments are of the first of them.
+    experiment = tuple(x or next(iter(known), "") for x in (*names, *more_names))
+    return Protocol(
+        name=first.name,
+        trials=(*first.trials, *second.trials),
+        flexion_deg=np.concatenate([first.flexion_deg, second.flexion_deg]),
+        loads=np.concatenate([first.loads, second.loads]),
+        state=(*states, *more_states),
+        experiment=experiment if known else None,
+        experiments=tuple(known.values()),
+    )
 
 
 def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
@@ -293,7 +375,8 @@ def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
     ``flexion_deg`` (one angle or several): a trial is made of each value at each angle, with the
     constant loads of an optional ``held`` table added. A trial that comes up more than once, such
     as the unloaded one of each angle, is made once. ``[[trials]]`` has ``flexion_deg``, any of
-    `LOADS` together, and perhaps a ``name``.
+    `LOADS` together, and perhaps a ``name``. Either may have a ``state`` of the knee, such as
+    ``"cut: ACL"``.
 
     Raises
     ------
@@ -317,23 +400,34 @@ def load_protocol(name_or_path: str | os.PathLike[str]) -> Protocol:
             f"{suggestion(str(path), BUILT_IN)} Or give the path of a TOML file.",
         )
     tables = read_tables(path)
-    return _protocol(tables.name or path.stem, _rows(path, tables))
+    rows = _rows(path, tables)
+    states, angles, loads = zip(*rows.values(), strict=True)
+    return Protocol(
+        name=tables.name or path.stem,
+        trials=tuple(rows),
+        flexion_deg=np.array(angles),
+        loads=np.array(loads),
+        state=states,
+    )
 
 
-def trial_name(flexion_deg: float, loads: Sequence[float]) -> str:
-    """Readable name of a trial, different for different angles or loads.
+def trial_name(flexion_deg: float, loads: Sequence[float], state: str = INTACT) -> str:
+    """Readable name of a trial, different for different angles, loads or states of the knee.
 
     Examples
     --------
     >>> trial_name(30, [0, -4, 0, 0, 0])
     'flexion30_varus-4Nm'
+    >>> trial_name(0, [0, 0, 0, 0, 0], "cut: ACL, MCL 50%")
+    'flexion0_unloaded_cut_ACL_MCL_50%'
     """
     parts = [f"flexion{_shortest(flexion_deg)}"]
     for column, value in zip(LOADS, loads, strict=True):
         if value != 0:
             direction, _, unit = column.split("_")
             parts.append(f"{direction}{_shortest(value)}{unit}")
-    return "_".join(parts if len(parts) > 1 else [*parts, "unloaded"])
+    parts = parts if len(parts) > 1 else [*parts, "unloaded"]
+    return "_".join(parts if state == INTACT else [*parts, re.sub(r"[^\w%.]+", "_", state)])
 
 
 def range_fault(column: str, value: float) -> tuple[str, str] | None:
@@ -394,9 +488,9 @@ def _check(file: Path, place: str, **values: float | list[float]) -> None:
                 raise InputError(file, place, *fault)
 
 
-def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[float, ...]]:
-    """Flexion and loads of each trial of a file, by its name."""
-    rows: dict[str, tuple[float, ...]] = {}
+def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[str, float, Sequence[float]]]:
+    """State, flexion and loads of each trial of a file, by its name."""
+    rows: dict[str, tuple[str, float, Sequence[float]]] = {}
     for block, ramp in enumerate(tables.ramps, 1):
         place = f"[[ramps]] block {block}"
         n = len(ramp.flexion_deg) * len(ramp.values)
@@ -410,10 +504,11 @@ def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[float, ...]]:
         _check(file, f"{place}, held", **held)
         _check(file, f"{place}, {FLEXION}", **{FLEXION: ramp.flexion_deg})
         _check(file, f"{place}, values", **{ramp.load: ramp.values})
+        state = _state(file, place, ramp.state)
         for flexion in ramp.flexion_deg:
             for value in ramp.values:
                 loads = tuple({**held, ramp.load: value}[x] for x in LOADS)
-                rows[trial_name(flexion, loads)] = (flexion, *loads)
+                rows[trial_name(flexion, loads, state)] = (state, flexion, loads)
     for block, trial in enumerate(tables.trials, 1):
         place, angles = f"[[trials]] block {block}", trial.flexion_deg
         if len(angles) != 1:
@@ -424,21 +519,24 @@ def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[float, ...]]:
         loads = tuple(float(getattr(trial, x)) for x in LOADS)
         for column, value in zip(LOADS, loads, strict=True):
             _check(file, f"{place}, {column}", **{column: value})
-        name = trial_name(angles[0], loads) if trial.name is None else trial.name
+        state = _state(file, place, trial.state)
+        name = trial_name(angles[0], loads, state) if trial.name is None else trial.name
         if fault := name_fault(name):
             raise InputError(file, f"{place}, name", *fault)
         if name in rows:
             why = f"the trial {name!r} is there already"
             raise InputError(file, place, why, "Give it another name.")
-        rows[name] = (angles[0], *loads)
+        rows[name] = (state, angles[0], loads)
     if not rows:
         raise InputError(file, "", "there is no trial", "Add a [[ramps]] or [[trials]] block.")
     return rows
 
 
-def _protocol(name: str, rows: Mapping[str, tuple[float, ...]]) -> Protocol:
-    table = np.array(list(rows.values()), dtype=np.float64).reshape(len(rows), 1 + len(LOADS))
-    return Protocol(name=name, trials=tuple(rows), flexion_deg=table[:, 0], loads=table[:, 1:])
+def _state(file: Path, place: str, state: str) -> str:
+    try:
+        return state_words(cuts_of(state))
+    except ValueRefused as error:
+        raise InputError(file, f"{place}, state", error.why, f"{error.remedy}.") from None
 
 
 def _shortest(value: float) -> str:
@@ -553,7 +651,7 @@ def opposite_pairs(protocol: Protocol) -> IntArray:
     >>> opposite_pairs(load_protocol("drawer"))[0].tolist()
     [2, 0]
     """
-    found, flexion = dominant_loads(protocol), protocol.flexion_deg
+    found, flexion, series = dominant_loads(protocol), protocol.flexion_deg, protocol.series
     none = np.zeros(0, dtype=np.int64)
     alike = [(none, none, np.zeros(0))]
     for axis in np.unique(found.axis):
@@ -562,7 +660,8 @@ def opposite_pairs(protocol: Protocol) -> IntArray:
         )
         apart = np.abs(flexion[above, None] - flexion[below])
         unlike = np.abs(found.size[above, None] + found.size[below]) / np.abs(found.size[below])
-        i, j = np.nonzero((apart <= SAME_FLEXION_DEG) & (unlike <= ALIKE))
+        is_alike = (apart <= SAME_FLEXION_DEG) & (unlike <= ALIKE)
+        i, j = np.nonzero(is_alike & (series[above, None] == series[below]))
         distance = apart[i, j] / SAME_FLEXION_DEG + unlike[i, j] / ALIKE
         alike.append((above[i], below[j], distance))
     first, second, distance = (np.concatenate(x) for x in zip(*alike, strict=True))
@@ -634,18 +733,22 @@ def zero_trials(protocol: Protocol, zero: str) -> tuple[IntArray, ...]:
 def unloaded_trials(protocol: Protocol) -> tuple[IntArray, ...]:
     """Indices of the unloaded trials at the flexion angle of each trial, one array a trial.
 
+    They are of the same experiment and state of the knee.
+
     Raises
     ------
     ValueError
         If a flexion angle has no unloaded trial.
     """
-    unloaded = np.flatnonzero(protocol.is_unloaded)
+    unloaded, series = np.flatnonzero(protocol.is_unloaded), protocol.series
     found = []
-    for flexion in protocol.flexion_deg:
+    for trial, flexion in enumerate(protocol.flexion_deg):
         near = np.abs(protocol.flexion_deg[unloaded] - flexion) <= SAME_ANGLE_DEG
+        near &= series[unloaded] == series[trial]
         if not near.any():
+            of = "" if series.max() == 0 else f" in the series of {protocol.trials[trial]}"
             raise ValueError(
-                f"no trial of {protocol.name!r} is unloaded at {flexion:g} deg flexion. "
+                f"no trial of {protocol.name!r} is unloaded at {flexion:g} deg flexion{of}. "
                 "Add one with all loads zero at that angle."
             )
         found.append(unloaded[near].astype(np.int64))

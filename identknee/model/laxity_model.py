@@ -40,6 +40,13 @@ from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, start_pose
 from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, joined
 from identknee.model.effects.library import values_of
+from identknee.model.experiments import (
+    Part,
+    effects_in_experiments,
+    guesses,
+    merged_prediction,
+    parts_of,
+)
 from identknee.model.mechanics_inputs import (
     PER_KN,
     PER_PCT,
@@ -50,7 +57,7 @@ from identknee.model.mechanics_inputs import (
     poses_between,
     poses_of_measured_trials,
 )
-from identknee.model.nuisances import StoredWithKnee, contact_rounding, stored_effects
+from identknee.model.nuisances import StoredWithKnee, contact_rounding
 from identknee.model.parameters import Parameters, ligament_parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, short_repr
 from identknee.runs.declare import declared, entry
@@ -531,6 +538,7 @@ class LaxityModel:
     parameters: Parameters = field(init=False, repr=False)
     tied: ParameterGroups = field(init=False, repr=False)
     extension: EffectStack = field(init=False, repr=False)
+    parts: tuple[Part, ...] = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -546,7 +554,8 @@ class LaxityModel:
         else:
             paths = paths_of_release(flexion, loads)
         is_stored = isinstance(self.effects, StoredWithKnee)
-        effects = stored_effects(self.knee) if is_stored else tuple(self.effects)
+        own = effects_in_experiments(self.knee, self.protocol) if is_stored else self.effects
+        effects = tuple(own)
         object.__setattr__(self, "effects", effects)
         extension = EffectStack(effects=effects)
         if effects and self.contact == "mesh":
@@ -556,6 +565,7 @@ class LaxityModel:
         derived = {"tied": units, "joint": joint, "paths": paths, "extension": extension}
         for name, value in {**derived, "parameters": parameters}.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "parts", parts_of(self))
 
     @property
     def n_ligament_parameters(self) -> int:
@@ -567,6 +577,7 @@ class LaxityModel:
         if protocol is self.protocol:
             return self
         made = self.protocol
+        protocol = protocol.in_experiments_of(made)
         return replace(
             self,
             protocol=protocol,
@@ -620,6 +631,14 @@ class LaxityModel:
             If theta has the wrong length or holds a stiffness below 0 or a reference strain of
             -100 % or less. A trial without equilibrium is not an error: it has an outcome.
         """
+        if self.parts:
+            near_by_part = guesses(self.parts, near)
+            self._unpacked(theta)
+            found_by_part = [
+                part.model.predict(np.asarray(theta)[part.columns], derivatives=derivatives, near=x)
+                for part, x in zip(self.parts, near_by_part, strict=True)
+            ]
+            return merged_prediction(self.parts, found_by_part, theta)
         if self.contact == "mesh":
             if derivatives:
                 raise ValueError(

@@ -207,7 +207,7 @@ class Registration:
 
     sd_deg: float = entry("Prior standard deviation of the rotations; 0 where there are none")
     sd_mm: float = entry("Prior standard deviation of the shifts; 0 where there are none")
-    name: str = field(init=False, default="registration")
+    name: str = entry("Name of the cause", default="registration")
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,114 @@
+"""Experiments on one knee: its state, the rig that loads it, and how it is mounted there."""
+
+import re
+from collections.abc import Mapping, Sequence
+
+from identknee.runs.declare import declared, entry
+from identknee.runs.errors import ValueRefused
+
+INTACT, CUT = "intact", "cut:"
+_LIGAMENT = re.compile(r"(?P<ligament>[^,%]+?)(?:\s+(?P<percent>[0-9.]+)\s*%)?")
+_NAME = re.compile(r"[\w-]([\w -]*[\w-])?")
+WRITE = 'write "intact", "cut: ACL", "cut: ACL, dMCL" or "cut: ACL 50%"'
+
+
+@declared
+class Cut:
+    """A ligament, a bundle or a group that was cut."""
+
+    ligament: str = entry("Its name")
+    fraction: float = entry("Fraction of its stiffness that is gone, 1 if cut through", unit="1")
+
+    @property
+    def words(self) -> str:
+        """It in words, such as ``"ACL"`` or ``"ACL 50%"``."""
+        share = f" {100.0 * self.fraction:g}%" if self.is_partial else ""
+        return f"{self.ligament}{share}"
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether part of it still carries load."""
+        return self.fraction < 1.0
+
+
+@declared
+class Experiment:
+    """One table of laxity tests on a knee: who made it, and how the knee was mounted."""
+
+    name: str = entry("Name of the experiment")
+    rig: str = entry("The rig: experiments of one rig share its frames, load axes and gains")
+    mounting: str = entry(
+        "The mounting: experiments of one mounting share zeros and offset of flexion"
+    )
+    uncertainty: Mapping[str, float] = entry(
+        "What the rig states to be uncertain, by part of `identknee.subject.knee.Uncertainty`; the "
+        "subject's sizes hold for the others",
+        default_factory=dict,
+    )
+
+    def __post_init__(self) -> None:
+        for kind in ("name", "rig", "mounting"):
+            if not _NAME.fullmatch(name := getattr(self, kind)):
+                raise ValueRefused(
+                    f"{name!r} is no name of an experiment, a rig or a mounting",
+                    "use letters, digits, -, _ and spaces",
+                )
+
+
+def cuts_of(state: str) -> tuple[Cut, ...]:
+    """What was cut in a state such as ``"cut: ACL, MCL 50%"``; nothing where the knee is intact.
+
+    Raises
+    ------
+    ValueError
+        If the state has another form, names a ligament twice, or a percentage is not above 0 and
+        at most 100.
+
+    Examples
+    --------
+    >>> [(x.ligament, x.fraction) for x in cuts_of("cut: ACL, MCL 50%")]
+    [('ACL', 1.0), ('MCL', 0.5)]
+    >>> cuts_of("intact")
+    ()
+    """
+    text = state.strip()
+    if text.lower() in (INTACT, ""):
+        return ()
+    if not text.lower().startswith(CUT):
+        raise ValueRefused(f"the state {state!r} is unknown", WRITE)
+    found = [_cut(state, x) for x in text[len(CUT) :].split(",")]
+    names = [x.ligament for x in found]
+    if twice := next((x for x in names if names.count(x) > 1), ""):
+        raise ValueRefused(f"the state {state!r} cuts {twice} twice", "name each ligament once")
+    return tuple(found)
+
+
+def _cut(state: str, words: str) -> Cut:
+    match = _LIGAMENT.fullmatch(words.strip())
+    if match is None:
+        raise ValueRefused(f"the state {state!r} names no ligament", WRITE)
+    try:
+        fraction = float(match["percent"] or 100.0) / 100.0
+    except ValueError:
+        fraction = 0.0
+    if not 0.0 < fraction <= 1.0:
+        raise ValueRefused(
+            f"the state {state!r} cuts {match['percent']} % of {match['ligament']}",
+            "give a percentage above 0 and at most 100",
+        )
+    return Cut(ligament=match["ligament"], fraction=fraction)
+
+
+def state_words(cuts: Sequence[Cut]) -> str:
+    """The state in one form: ligaments in order of their names.
+
+    Examples
+    --------
+    >>> state_words(cuts_of("Cut:  MCL 50 %,ACL"))
+    'cut: ACL, MCL 50%'
+    >>> state_words(())
+    'intact'
+    """
+    if not cuts:
+        return INTACT
+    return f"{CUT} {', '.join(x.words for x in sorted(cuts, key=lambda x: x.ligament))}"
