@@ -1,7 +1,6 @@
 """What every effect of a library would add to the residuals of a fit, and which they exclude."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -22,8 +21,6 @@ from identknee.diagnosis.score import (
     project_signature,
     score_test,
 )
-from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS
@@ -31,6 +28,7 @@ from identknee.model.effects.insertion import BONES, InsertionShift, moved_inser
 from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.model.effects.tissues import LigamentBundles
+from identknee.model.line_loads import added_line_tensions
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -179,25 +177,13 @@ def _at_sites(fitted: FittedModel, structure: MissingStructure) -> list[Variant]
     m = len(structure.femoral)
     femoral = np.concatenate([structure.femoral + x[2:5] for x in moves])
     tibial = np.concatenate([structure.tibial + x[5:8] for x in moves])
-    unmeasured = LineLigaments(
-        femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral))
-    )
     model, prediction = fitted.model, fitted.model.predict_once(fitted.theta)
-    setting = model.setting(fitted.theta)
-    lengths = setting.lengths_at_start(unmeasured)
-    lines = setting.as_measured(replace(unmeasured, reference_length=lengths))
-    flexion = setting.flexion[model.paths.trial_node]
     found = []
     for strain in strains:
-        shape = ligament_tensions(
-            lines,
-            flexion,
-            prediction.poses,
-            np.ones(len(femoral)),
-            np.full(len(femoral), 0.01 * strain),
-        )
+        unit, own = np.ones(len(femoral)), np.full(len(femoral), 0.01 * strain)
+        shape = added_line_tensions(model, prediction, (femoral, tibial), unit, own)
         pulls = PER_KN * shape.by_stiffness[:, :, None] * shape.lengthening
-        pulls = pulls.reshape(len(flexion), len(moves), m, 5).sum(axis=2)
+        pulls = pulls.reshape(len(prediction.codes), len(moves), m, 5).sum(axis=2)
         columns = fitted.columns(pose_changes(fitted, pulls.transpose(0, 2, 1)))
         found += [
             _site_variant(structure, move, float(strain), columns[:, [k]])

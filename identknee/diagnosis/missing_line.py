@@ -1,6 +1,5 @@
 """The line along which a cause that is not in the library acts, if it acts along one."""
 
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -9,12 +8,15 @@ import scipy
 from identknee.diagnosis.fitting import FittedModel, Refit, refit, whitened_problem
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.mechanics.contact_points import ContactPlaces
-from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, rotation_matrix
+from identknee.mechanics.pose import coordinate_jacobian, rotation_matrix
 from identknee.model.effects.structures import MissingStructure
-from identknee.model.laxity_model import LaxityModel, Prediction, trial_contacts
-from identknee.model.line_loads import line_loads
+from identknee.model.laxity_model import (
+    LaxityModel,
+    Prediction,
+    observed_slopes,
+    trial_contacts,
+)
+from identknee.model.line_loads import added_line_tensions, line_loads
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -103,28 +105,19 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
     """
     if prediction.hessians is None:
         raise ValueError('lines of action need a prediction with contact="field"')
-    setting = model.setting(prediction.theta)
-    flexion = setting.flexion[model.paths.trial_node]
-    unmeasured = LineLigaments(
-        femoral=model.knee.femur_frame.to_local(lines.femur),
-        tibial=model.knee.tibia_frame.to_local(lines.tibia),
-        reference_length=np.ones(lines.n),
-    )
-    measured = setting.as_measured(
-        replace(unmeasured, reference_length=setting.lengths_at_start(unmeasured))
+    ends = (
+        model.knee.femur_frame.to_local(lines.femur),
+        model.knee.tibia_frame.to_local(lines.tibia),
     )
     converged = prediction.is_converged
     hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
-    seen, _ = model.extension.observed_slopes(
-        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
-    )
+    seen = observed_slopes(model, prediction)
     compliance = seen @ coordinate_jacobian(prediction.poses) @ np.linalg.inv(hessians)
     stiffness = np.full(lines.n, PER_KN)
-    columns = np.empty((len(flexion), 5, len(SLACK_STRAINS), lines.n))
+    columns = np.empty((len(converged), 5, len(SLACK_STRAINS), lines.n))
     for k, strain in enumerate(SLACK_STRAINS):
-        pulled = ligament_tensions(
-            measured, flexion, prediction.poses, stiffness, np.full(lines.n, PER_PCT * strain)
-        )
+        strains = np.full(lines.n, PER_PCT * strain)
+        pulled = added_line_tensions(model, prediction, ends, stiffness, strains)
         pulls = pulled.tensions[:, :, None] * pulled.lengthening
         columns[:, :, k] = -compliance @ pulls.transpose(0, 2, 1)
     columns[~converged] = np.nan
@@ -488,9 +481,7 @@ def missing_wrench(
     prediction = model.predict_once(theta)
     if prediction.hessians is None:
         raise ValueError('a missing wrench needs a model with contact="field"')
-    seen, _ = model.extension.observed_slopes(
-        coordinates_from_pose(prediction.poses), model.amplitudes(theta), model.tests
-    )
+    seen = observed_slopes(model, prediction)
     is_whole = laxity.is_measured.all(axis=1) & prediction.is_converged
     shape = is_whole[:, None, None]
     hessians = np.where(shape, prediction.hessians, np.eye(5))

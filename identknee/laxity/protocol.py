@@ -271,6 +271,15 @@ class Protocol:
         number = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
         return np.array([number[x] for x in pairs], dtype=np.int64)
 
+    @property
+    def mounting(self) -> IntArray:
+        """Number of the mounting of each trial, shape ``(n,)``."""
+        if self.experiment is None:
+            return np.zeros(self.n, dtype=np.int64)
+        names = list(dict.fromkeys(x.mounting for x in self.experiments))
+        of = {x.name: names.index(x.mounting) for x in self.experiments}
+        return np.array([of[x] for x in self.experiment], dtype=np.int64)
+
     def _check_states(self) -> None:
         """Make every state one form, none where all are intact; refuse what does not fit."""
         if self.state is not None:

@@ -44,6 +44,13 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trial: int) -> 
     theta = prediction.theta
     if not prediction.is_converged[trial]:
         return np.full((len(COMPARTMENTS), len(KINDS), theta.size), np.nan)
+    if model.parts:
+        part = next(x for x in model.parts if trial in x.trials)
+        place = int(np.flatnonzero(part.trials == trial)[0])
+        whole = np.zeros((len(COMPARTMENTS), len(KINDS), theta.size))
+        own = part.prediction(prediction)
+        whole[:, :, part.columns] = contact_jacobian(part.model, own, place)
+        return whole
     settings = model.extension.changes(
         model.setting(theta, is_changed=False), model.amplitudes(theta)
     )

@@ -870,6 +870,15 @@ def predict_on_meshes(
 
 def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPlaces]:
     """The contact of every trial in its predicted pose."""
+    if model.parts:
+        found = {
+            int(trial): contact
+            for x in model.parts
+            for trial, contact in zip(
+                x.trials, trial_contacts(x.model, x.prediction(prediction)), strict=True
+            )
+        }
+        return [found[i] for i in range(len(prediction.codes))]
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
     contact, field = model.surfaces(setting)
@@ -877,6 +886,18 @@ def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPl
         contact_places(contact, field, float(angle), pose)
         for angle, pose in zip(flexion, prediction.poses, strict=True)
     ]
+
+
+def observed_slopes(model: LaxityModel, prediction: Prediction) -> Array:
+    """Derivatives of what is measured by the coordinates of the pose, shape ``(n, 5, 5)``."""
+    if model.parts:
+        whole = np.zeros((len(prediction.codes), 5, 5))
+        for x in model.parts:
+            whole[x.trials] = observed_slopes(x.model, x.prediction(prediction))
+        return whole
+    return model.extension.observed_slopes(
+        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
+    )[0]
 
 
 def model_for_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:

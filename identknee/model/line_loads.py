@@ -1,14 +1,16 @@
 """Tensions and strains of lines, ligaments, groups and added structures, with derivatives."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
 from identknee.model.laxity_model import LaxityModel, Prediction, lines_by_units
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
 from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import array, declared, entries, entry
 
 
 @declared
@@ -98,8 +100,12 @@ def structure_names(model: LaxityModel) -> tuple[str, ...]:
 def structures(model: LaxityModel, theta: Array) -> Structures:
     """The ligaments, groups and added structures of a model, and their lines.
 
-    Springs of an effect, which push as well as they pull, are none.
+    Springs of an effect, which push as well as they pull, are none. Of a model with several parts
+    they are those of the first.
     """
+    if model.parts:
+        first = model.parts[0]
+        return structures(first.model, theta[first.columns])
     settings = _settings(model, theta)
     setting, tied = settings[-1], model.tied
     owned = setting.owned(len(model.knee.ligaments))
@@ -164,6 +170,8 @@ def structure_loads(model: LaxityModel, prediction: Prediction) -> StructureLoad
     ValueError
         As `line_loads`.
     """
+    if model.parts:
+        return _structure_loads_of_parts(model, prediction)
     lines, owners = line_loads(model, prediction), structures(model, prediction.theta)
     strains = lines.strains @ owners.weight
     # Where an amplitude changes the stiffness of one line of several, the mean moves towards it.
@@ -182,6 +190,62 @@ def structure_loads(model: LaxityModel, prediction: Prediction) -> StructureLoad
         strain_jacobian=_summed(lines.strain_jacobian, owners.weight)
         + np.swapaxes(apart, 1, 2) @ lines.stiffness_jacobian,
     )
+
+
+def added_line_tensions(
+    model: LaxityModel,
+    prediction: Prediction,
+    ends: tuple[Array, Array],
+    stiffness: Array,
+    reference_strain: Array,
+) -> LigamentTensions:
+    """Tensions of lines that the model does not have, at the poses of a prediction.
+
+    Parameters
+    ----------
+    model, prediction
+        The model and its prediction.
+    ends
+        Femoral and tibial ends in the axes of their bones [mm], shape ``(k, 3)`` each; lengths are
+        measured in the scanned pose.
+    stiffness, reference_strain
+        Of each line [N, -], shape ``(k,)``.
+    """
+    if model.parts:
+        found = [
+            added_line_tensions(
+                x.model, x.prediction(prediction), ends, stiffness, reference_strain
+            )
+            for x in model.parts
+        ]
+        # Where each trial of the whole stands among those of the parts, one after the other.
+        order = np.argsort(np.concatenate([x.trials for x in model.parts]))
+        return LigamentTensions(
+            **{
+                x: np.concatenate([getattr(one, x) for one in found])[order]
+                for x in entries(LigamentTensions)
+            }
+        )
+    setting = model.setting(prediction.theta)
+    lines = LineLigaments(femoral=ends[0], tibial=ends[1], reference_length=np.ones(len(ends[0])))
+    lines = replace(lines, reference_length=setting.lengths_at_start(lines))
+    flexion = setting.flexion[model.paths.trial_node]
+    return ligament_tensions(
+        setting.as_measured(lines), flexion, prediction.poses, stiffness, reference_strain
+    )
+
+
+def _structure_loads_of_parts(model: LaxityModel, prediction: Prediction) -> StructureLoads:
+    found = [structure_loads(x.model, x.prediction(prediction)) for x in model.parts]
+    n, k, p = len(prediction.codes), len(found[0].names), prediction.theta.size
+    values = {x: np.zeros((n, k)) for x in ("tensions", "strains")}
+    slopes = {f"{x}_jacobian": np.zeros((n, k, p)) for x in ("tension", "strain")}
+    for part, loads in zip(model.parts, found, strict=True):
+        for name, whole in values.items():
+            whole[part.trials] = getattr(loads, name)
+        for name, into in slopes.items():
+            part.spread(getattr(loads, name), into)
+    return StructureLoads(names=found[0].names, **values, **slopes)
 
 
 def _summed(jacobian: Array, weights: Array) -> Array:
@@ -215,16 +279,30 @@ def structure_values(model: LaxityModel, prediction: Prediction, name: str) -> t
     ValueError
         If the model has no structure of that name.
     """
+    if model.parts:
+        tension, strain = np.zeros(len(prediction.codes)), np.zeros(len(prediction.codes))
+        for x in model.parts:
+            own = structure_values(x.model, x.prediction(prediction), name)
+            tension[x.trials], strain[x.trials] = own
+        return tension, strain
     setting = model.setting(prediction.theta)
     owners = structures(model, prediction.theta)
     found, k = _of_lines(model, setting, prediction), index_of(name, owners.names, "ligament")
-    values = found.tensions @ owners.member[:, k], found.strains @ owners.weight[:, k] / PER_PCT
-    for x in values:
-        x[~prediction.is_converged] = np.nan
-    return values
+    tension = found.tensions @ owners.member[:, k]
+    strain = found.strains @ owners.weight[:, k] / PER_PCT
+    for values_of_trials in (tension, strain):
+        values_of_trials[~prediction.is_converged] = np.nan
+    return tension, strain
 
 
 def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Array]:
+    if model.parts:
+        shape = len(prediction.codes), len(model.knee.ligaments)
+        tensions, strains = np.zeros(shape), np.zeros(shape)
+        for part in model.parts:
+            own = _of_ligaments(part.model, part.prediction(prediction))
+            tensions[part.trials], strains[part.trials] = own
+        return tensions, strains
     setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
     found, owned = _of_lines(model, setting, prediction), setting.owned(m)
     weight = owned * setting.share[:, None]

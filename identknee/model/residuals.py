@@ -11,10 +11,15 @@ from scipy.spatial import cKDTree
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.laxity.table import COORDINATES, Laxity, noise_fault
 from identknee.mechanics.contact_points import ContactPlaces
-from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose
+from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.tissues import toe_strain
 from identknee.model.held_trials import FARTHEST, HeldTrials
-from identknee.model.laxity_model import LaxityModel, Prediction, trial_contacts
+from identknee.model.laxity_model import (
+    LaxityModel,
+    Prediction,
+    observed_slopes,
+    trial_contacts,
+)
 from identknee.model.nuisances import flexion
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, short_repr
@@ -314,9 +319,7 @@ def surface_changes(model: LaxityModel, prediction: Prediction, length: float) -
     converged = prediction.is_converged
     hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
     poses = -np.linalg.solve(hessians, moved)
-    seen, _ = model.extension.observed_slopes(
-        coordinates_from_pose(prediction.poses), model.amplitudes(prediction.theta), model.tests
-    )
+    seen = observed_slopes(model, prediction)
     columns: Array = seen @ coordinate_jacobian(prediction.poses) @ poses
     columns[~converged] = np.nan
     return columns
@@ -395,18 +398,19 @@ def has_shared_errors(uncertainty: Uncertainty) -> bool:
 def shared_errors(model: LaxityModel, theta: Array) -> Array:
     """Change of the coordinates by errors of one standard deviation, shape ``(n, 5, k)``.
 
-    An offset of each coordinate for every angle of flexion, an error of flexion for every trial,
-    and smooth offsets of the cartilage sheets, as far as the knee states them. The two last are
-    linear at `theta`; NaN in trials that have no equilibrium there.
+    An offset of each coordinate for every angle of flexion of a mounting, an error of flexion for
+    every trial, and smooth offsets of the cartilage sheets, as far as the knee states them. The two
+    last are linear at `theta`; NaN in trials that have no equilibrium there.
     """
     stated = model.knee.uncertainty
     sizes = [stated.zero_deg if x.endswith("_deg") else stated.zero_mm for x in COORDINATES]
-    angles, group = np.unique(model.protocol.flexion_deg, return_inverse=True)
-    columns = np.zeros((model.protocol.n, len(COORDINATES), len(angles), len(COORDINATES)))
+    mounted = np.column_stack([model.protocol.mounting, model.protocol.flexion_deg])
+    places, group = np.unique(mounted, axis=0, return_inverse=True)
+    columns = np.zeros((model.protocol.n, len(COORDINATES), len(places), len(COORDINATES)))
     for trial, place in enumerate(group):
         columns[trial, :, place, :] = np.diag(sizes)
     flat = columns.reshape(*columns.shape[:2], -1)
-    parts = [flat[:, :, np.tile(np.array(sizes) > 0.0, len(angles))]]
+    parts = [flat[:, :, np.tile(np.array(sizes) > 0.0, len(places))]]
     if stated.trial_flexion_deg > 0.0:
         offset = flexion(stated.trial_flexion_deg)
         others = [x for x in model.effects if x.name != offset.name]
