@@ -10,7 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.checks.table_checks import suspicious_end_points, trial_findings
+from identknee.checks.table_checks import (
+    SuspiciousRow,
+    suspicious_end_points,
+    trial_findings,
+)
 from identknee.laxity.table import Laxity
 from identknee.runs.arrays import BoolArray
 from identknee.runs.declare import declared, entry
@@ -65,7 +69,7 @@ def trials_asked(
         name = trials[int(np.flatnonzero(is_both)[0])]
         raise ValueError(f"{name} is named in --keep and in --leave-out; name it in one of them")
     without = _blank(laxity, is_named)
-    rows = [x for x in suspicious_end_points(without) if not is_kept[x.trial]]
+    rows = [x for x in _off_their_course(without) if not is_kept[x.trial]]
     is_off = np.isin(np.arange(laxity.n), [x.trial for x in rows])
     left = _blank(without, is_off)
     if laxity.is_measured.any() and not left.is_measured.any():
@@ -84,6 +88,19 @@ def trials_asked(
             ),
         ),
     )
+
+
+def _off_their_course(laxity: Laxity) -> list[SuspiciousRow]:
+    """Trials that contradict the others of their experiment and state."""
+    series = laxity.protocol.series
+    if not series.any():
+        return suspicious_end_points(laxity)
+    found = []
+    for one in np.unique(series):
+        places = np.flatnonzero(series == one)
+        own = suspicious_end_points(laxity.select(places))
+        found += [replace(x, trial=int(places[x.trial])) for x in own]
+    return found
 
 
 def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:

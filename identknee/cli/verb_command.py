@@ -2,7 +2,7 @@
 
 import inspect
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -170,8 +170,10 @@ def _subject_word(word: str) -> str:
     return _note_if_ambiguous(word, is_name=named_subject(word) is not None)
 
 
-def _data_word(word: str | None) -> str | None:
-    return word if word is None else _note_if_ambiguous(word, is_name=word in TABLES)
+def _data_words(words: list[str] | None) -> list[str] | None:
+    for word in words or ():
+        _note_if_ambiguous(word, is_name=word in TABLES)
+    return words
 
 
 def _note_if_ambiguous(word: str, *, is_name: bool) -> str:
@@ -197,4 +199,8 @@ def _workers(word: str) -> int | str:
     return int(word)
 
 
-CALLBACKS = {"subject": _subject_word, "data": _data_word, "workers": _workers}
+CALLBACKS: dict[str, Callable[..., Any]] = {
+    "subject": _subject_word,
+    "data": _data_words,
+    "workers": _workers,
+}

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from identknee.laxity.angles import coordinate_turns, flexion_turns, is_from_straight
 from identknee.laxity.data_frame import Frame, is_frame
+from identknee.laxity.experiments import cuts_of, state_words
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -51,7 +52,7 @@ from identknee.laxity.translations import (
 )
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
-from identknee.runs.errors import InputError, suggestion
+from identknee.runs.errors import InputError, ValueRefused, suggestion
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding, finding
 
@@ -83,15 +84,13 @@ OPPOSITE_COORDINATES = {
 }
 """Opposite names of coordinates, which count the other way round."""
 OPPOSITES = {**OPPOSITE_LOADS, **OPPOSITE_COORDINATES}
-# Smaller or larger than any measurement in mm or deg; squares of these keep their digits.
-NOISE_LIMITS = (1e-9, 1e6)
 # No joint turns so far, so that its angles were no radians.
 MOST_TURNED_DEG = 400.0
 # Beyond these a table is in other units or of other axes.
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
 _SD = tuple(f"sd_{column}" for column in COORDINATES)
-_COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase")
+_COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase", "state")
 
 
 @declared
@@ -202,9 +201,10 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
 
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
     ones in `OPPOSITES`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
-    name of a coordinate, ``order`` and ``phase``. A blank coordinate was not measured. Cells are
-    separated by commas; where the header has semicolons or tabs instead, by those, and then numbers
-    may have decimal commas. Comment lines start with ``#``; some of them state something:
+    name of a coordinate, ``order``, ``phase`` and ``state`` of the knee: ``intact``, ``cut: ACL``,
+    ``cut: ACL, dMCL`` or, for half of it, ``cut: ACL 50%``. A blank coordinate was not measured.
+    Cells are separated by commas; where the header has semicolons or tabs instead, by those, and
+    then numbers may have decimal commas. Comment lines start with ``#``; some state something:
     ``# within_trial_correlation: 0.3``, ``# zero:`` with ``unloaded``, ``opposite`` or the name
     of a trial, and ``# translations:`` with ``components`` (of Grood and Suntay), ``projections``
     (on the same axes), ``femur`` or ``tibia`` (axes of a bone). The protocol is called after the
@@ -230,6 +230,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         trials=names,
         flexion_deg=table[:, 0],
         loads=table[:, 1:loads],
+        state=extra.pop("state", None),
     )
     measured = table[:, loads:coordinates]
     said = statements(file, protocol, measured)
@@ -329,22 +330,14 @@ def write_laxity(
         [trial, *("" if math.isnan(x) else repr(x) for x in values)]
         for trial, values in zip(protocol.trials, np.hstack(blocks).tolist(), strict=True)
     ]
-    for name, extra in (("order", laxity.order), ("phase", laxity.phase)):
+    others = {"order": laxity.order, "phase": laxity.phase, "state": protocol.state}
+    for name, extra in others.items():
         if extra is not None:
             header.append(name)
             for row, value in zip(rows, extra, strict=True):
                 row.append(str(value))
     lines += [written(cells) for cells in (header, *rows)]
     return write_atomically(path, "\n".join(lines) + "\n")
-
-
-def noise_fault(sd: float) -> tuple[str, str] | None:
-    """Why no measurement has this standard deviation > 0, and the remedy; None if one may."""
-    low, high = NOISE_LIMITS
-    if low <= sd <= high:
-        return None
-    why = f"a standard deviation of {sd:g} is beyond {low:g} to {high:g}"
-    return why, "Give that of the measurement, in mm or deg"
 
 
 def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
@@ -356,6 +349,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
     numbers: list[tuple[float, ...]] = []
     order: list[int] = []
     phase: list[str] = []
+    states: list[str] = []
     rows = list(file.rows())
     _turn_angles(file, rows)
     for row in rows:
@@ -376,6 +370,8 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
                 why = f"{value:g} is no whole number"
                 row.refuse("order", why, "Count the trials 1, 2, 3 and so on.")
             order.append(int(value))
+        if "state" in file.columns:
+            states.append(_state(row))
         if "phase" in file.columns:
             phase.append(row.text("phase").lower())
             if phase[-1] not in {*PHASES, ""}:
@@ -386,7 +382,15 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
             file.path, "", "there is no trial below the header", "Add one row per trial."
         )
     extra = {"order": np.array(order) if order else None, "phase": tuple(phase) or None}
-    return tuple(names), np.array(numbers), extra
+    return tuple(names), np.array(numbers), extra | {"state": tuple(states) or None}
+
+
+def _state(row: TableRow) -> str:
+    """The state of the knee in a trial; intact where it is blank."""
+    try:
+        return state_words(cuts_of(row.text("state")))
+    except ValueRefused as error:
+        row.refuse("state", error.why, f"{error.remedy}.")
 
 
 def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from identknee.laxity.noise import noise_fault
 from identknee.laxity.protocol import Protocol, from_zero
-from identknee.laxity.table import COORDINATES, Laxity, noise_fault
+from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.tissues import toe_strain

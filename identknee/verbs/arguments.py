@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from identknee.laxity.data_frame import Frame, is_frame
+from identknee.laxity.experiment_tables import is_experiments
 from identknee.laxity.named_tables import TABLES
 from identknee.laxity.table import TABLE_FILES, Laxity, read_laxity
 from identknee.runs.errors import ValueRefused
@@ -46,6 +47,9 @@ def read_arguments(
 def _as_taken(name: str, annotation: Any, given: Any) -> Any:
     """One argument."""
     kinds = _kinds(annotation)
+    if name == DATA and isinstance(given, list | tuple):
+        tables = [_as_taken(name, annotation, x) for x in given]
+        return tables[0] if len(tables) == 1 else tables or None
     if is_frame(given) and (name == DATA or Frame in kinds):
         return read_laxity(given, is_measured=name == DATA)
     if Sequence[str] in kinds and str not in kinds:
@@ -71,7 +75,14 @@ def _check_places(arguments: Mapping[str, Any]) -> None:
     """Refuse a table where the subject belongs, and a subject where the table does."""
     if SUBJECT not in arguments:
         return
-    subject, data = arguments[SUBJECT], arguments.get(DATA)
+    data = arguments.get(DATA)
+    for one in data if isinstance(data, list | tuple) and data else [data]:
+        _check_place(arguments, one)
+
+
+def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
+    """The same for one of the tables."""
+    subject = arguments[SUBJECT]
     if _is_table(subject):
         if DATA in arguments and (data is None or _is_subject(data)):
             told = "subject and data have changed places" if data is not None else "it is the data"
@@ -97,7 +108,9 @@ def _check_places(arguments: Mapping[str, Any]) -> None:
 def _is_table(given: Any) -> bool:
     """Whether this can only be laxity."""
     if isinstance(given, str | os.PathLike):
-        return Path(given).suffix.lower() in TABLE_FILES and not Path(given).is_dir()
+        path = Path(given)
+        is_table = path.suffix.lower() in TABLE_FILES and not path.is_dir()
+        return is_table or is_experiments(path)
     return isinstance(given, Laxity) or is_frame(given)
 
 
@@ -108,7 +121,8 @@ def _is_subject(given: Any) -> bool:
     if given in TABLES:
         return False
     path = Path(given)
-    is_file = path.suffix.lower() in SUBJECT_FILES or (path / FILE).is_file()
+    is_toml = path.suffix.lower() in SUBJECT_FILES and not is_experiments(path)
+    is_file = is_toml or (path / FILE).is_file()
     return is_file or named_subject(given) is not None
 
 

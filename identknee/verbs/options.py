@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_origin, get
 from typing_extensions import override
 
 from identknee.calibrate.fit import StartLike
-from identknee.laxity.data_frame import Frame
+from identknee.laxity.experiment_tables import LaxityLike as OneTable
 from identknee.laxity.table import Laxity, TrialsLike
 from identknee.model.effects.effect import Effect
 from identknee.runs import executors as workers
@@ -25,7 +25,7 @@ from identknee.subject.knee import Knee, UncertainLike
 from identknee.verbs.values import BoundsLike, NoiseLike
 
 SubjectLike = Knee | PathLike
-LaxityLike = Laxity | Frame | PathLike
+LaxityLike = OneTable | Sequence[OneTable]
 REFERENCE = "reference"
 # The attribute of a function that holds its parameters with all that is said of them.
 IN_FULL = "__parameters_in_full__"
@@ -92,8 +92,11 @@ PROTOCOLS = (
     "that has one)"
 )
 _A_PROTOCOL = "Or a `Protocol`, a `Laxity` or a pandas ``DataFrame``."
-_IN_MEMORY = "Or a `Laxity` or a pandas ``DataFrame``."
-_A_TABLE = "The table of measured laxity, or the name of a subject that comes with one."
+_IN_MEMORY = "Or a `Laxity`, a pandas ``DataFrame``, or a list of tables."
+_A_TABLE = (
+    "The table of measured laxity, several of one knee, an experiments.toml that lists them, or "
+    "the name of a subject that comes with one."
+)
 
 Subject = Annotated[
     Knee,
@@ -106,15 +109,16 @@ Subject = Annotated[
     ),
 ]
 Data = Annotated[
-    Laxity, argument(_A_TABLE, "DATA.csv", in_python=_IN_MEMORY, typed=str, given=LaxityLike)
+    Laxity,
+    argument(_A_TABLE, "DATA.csv...", in_python=_IN_MEMORY, typed=list[str], given=LaxityLike),
 ]
 MaybeData = Annotated[
     Laxity | None,
     argument(
         f"{_A_TABLE} Leave it out with {{--protocol}}.",
-        "DATA.csv",
+        "DATA.csv...",
         in_python=_IN_MEMORY,
-        typed=str | None,
+        typed=list[str] | None,
         given=LaxityLike | None,
     ),
 ]

@@ -1,18 +1,17 @@
 """Numbers with names and units, given as numbers or as they are typed on a command line."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence, Sized
 from numbers import Real
 from typing import Any, cast
 
+from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 
 STIFFNESS, LARGEST_STIFFNESS_KN = ".stiffness_kN", 1000.0
-_NOISE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg)\s*")
 
 
 NoiseLike = str | float | tuple[float, float] | None
@@ -165,39 +164,6 @@ def named_bounds(texts: Sequence[str], option: str) -> dict[str, tuple[float, fl
     return bounds
 
 
-def noise_sizes(text: str) -> tuple[float, float]:
-    """Standard deviations [mm], [deg] from a text such as ``0.3mm,0.3deg``.
-
-    Raises
-    ------
-    ValueError
-        If it has another form or a size is not more than zero.
-
-    Examples
-    --------
-    >>> noise_sizes("0.3mm,0.5deg")
-    (0.3, 0.5)
-    """
-    # Tables of laxity load more than most commands need.
-    from identknee.laxity.table import noise_fault
-
-    sizes: dict[str, float] = {}
-    for part in text.split(","):
-        found = _NOISE.fullmatch(part)
-        if found is None or found[2] in sizes:
-            raise ValueError(_noise_remedy(text))
-        sizes[found[2]] = size = _number(found[1], f"--noise {text}")
-        if size <= 0.0:
-            raise ValueError(
-                f"--noise {text}: both must be more than 0, for example --noise 0.3mm,0.3deg"
-            )
-        if fault := noise_fault(size):
-            raise ValueError(f"--noise {text}: {'. '.join(fault)}")
-    if len(sizes) != 2:
-        raise ValueError(_noise_remedy(text))
-    return sizes["mm"], sizes["deg"]
-
-
 def _split(text: str, option: str, example: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not equals or not name.strip():
@@ -215,14 +181,6 @@ def _number(text: str, where: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{where}: {text.strip()!r} is not a number. Write a number such as 9.5")
     return value
-
-
-def _noise_remedy(text: str) -> str:
-    return (
-        f"--noise {text}: this is not a size of noise. Write two standard deviations with their "
-        "units, the first of translations and the second of rotations, for example "
-        "--noise 0.3mm,0.3deg"
-    )
 
 
 OF_LOAD = "N or N·m, as the load's name says"

@@ -11,9 +11,10 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, overload
 from typing import Protocol as TypedProtocol
 
 from identknee.checks.left_out_trials import TrialsAsked, trials_asked
+from identknee.laxity.experiment_tables import read_experiments
 from identknee.laxity.named_tables import laxity_file
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.table import Laxity, read_laxity
+from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
@@ -65,7 +66,8 @@ WORK = "work.sqlite"
 NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
 BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 # Files that a name is read from, and what a folder of results is known by.
-READ, SUMMARY = (".toml", ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
+TOML = ".toml"
+READ, SUMMARY = (TOML, ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
 # Kept by their names in the record of a call.
 _NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
 Arguments = ParamSpec("Arguments")
@@ -262,7 +264,7 @@ def _run(
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
     data = arguments.get("data")
-    laxity = data if data is None or isinstance(data, Laxity) else read_laxity(data)
+    laxity = given = None if data is None else read_experiments(data)
     if laxity is None and _needs_data(function):
         raise ValueError("there are no data; give a laxity table")
     subject = arguments.get("subject", options.REFERENCE)
@@ -278,7 +280,7 @@ def _run(
         elif any(named.values()):
             raise ValueError("--keep and --leave-out name trials of DATA.csv; give it")
     read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
-    inputs = _inputs(arguments, knee, data)
+    inputs = _inputs(arguments, knee, given, data)
     settings = {key: _setting(x) for key, x in arguments.items()}
     recorded = {key: x for key, x in settings.items() if key not in secret}
     recording = record(name, recorded, inputs, arguments.get("seed"))
@@ -319,13 +321,14 @@ def _needs_data(function: Callable[..., Any]) -> bool:
     return data is not None and data.default is data.empty
 
 
-def _inputs(arguments: Mapping[str, Any], knee: Knee, data: Any) -> dict[str, str]:
+def _inputs(
+    arguments: Mapping[str, Any], knee: Knee, laxity: Laxity | None, data: Any
+) -> dict[str, str]:
     """SHA-256 of everything that came from outside the call."""
     inputs = {"subject": knee_digest(knee)}
-    if isinstance(data, Laxity):
-        inputs["data"] = laxity_digest(data)
-    elif data is not None:
-        inputs["data"] = digest(laxity_file(data))
+    is_one_file = isinstance(data, str | Path) and Path(data).suffix.lower() != TOML
+    if laxity is not None:
+        inputs["data"] = digest(laxity_file(data)) if is_one_file else laxity_digest(laxity)
     others = {k: x for k, x in arguments.items() if k not in ("subject", "data", "out")}
     inputs |= {k: _protocol_digest(x) for k, x in others.items() if isinstance(x, Protocol)}
     inputs |= {k: laxity_digest(x) for k, x in others.items() if isinstance(x, Laxity)}
@@ -352,8 +355,10 @@ def laxity_digest(laxity: Laxity) -> str:
 
 
 def _protocol_digest(protocol: Protocol) -> str:
-    words = repr((protocol.name, protocol.trials)).encode()
-    return digest(words + protocol.flexion_deg.tobytes() + protocol.loads.tobytes())
+    words: tuple[Any, ...] = (protocol.name, protocol.trials)
+    if protocol.state or protocol.experiment:
+        words = (*words, protocol.state, protocol.experiment, protocol.experiments)
+    return digest(repr(words).encode() + protocol.flexion_deg.tobytes() + protocol.loads.tobytes())
 
 
 def _setting(value: Any) -> Any:

@@ -2,7 +2,8 @@
 
 import pytest
 
-from identknee.verbs.values import named_bounds, named_values, noise_sizes, values_of
+from identknee.laxity.noise import noise_sizes
+from identknee.verbs.values import named_bounds, named_values, values_of
 
 
 def test_values_come_by_name() -> None:

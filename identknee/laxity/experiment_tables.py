@@ -1,0 +1,241 @@
+"""Several tables of one knee as one laxity: files side by side, or those of an experiments.toml."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from identknee.laxity.data_frame import Frame
+from identknee.laxity.experiments import INTACT, Experiment, cuts_of, state_words
+from identknee.laxity.noise import noise_sizes
+from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
+from identknee.runs.arrays import Array
+from identknee.runs.errors import InputError, ValueRefused
+from identknee.runs.files import PathLike
+from identknee.runs.schema import Fault, Part, custom_message, number, read_toml, validated
+
+LaxityLike = Laxity | Frame | PathLike
+RIG, TOML = "rig", ".toml"
+# What of `identknee.subject.knee.Uncertainty` belongs to a rig.
+OF_RIG = ("registration_deg", "registration_mm", "load_axes_deg", "load_gain")
+LARGEST_MB = 10
+Text = Annotated[str, custom_message("{} is no text", "Put it in quotes.")]
+
+
+class ExperimentTable(Part):
+    """An ``[[experiments]]``."""
+
+    name: Text
+    table: Text
+    rig: Text = RIG
+    remounted: Annotated[bool, custom_message("{} is no truth value", "Write true or false.")] = (
+        False
+    )
+    state: Text = INTACT
+
+
+class RigTable(Part):
+    """A ``[rigs.NAME]``."""
+
+    noise: Text | None = None
+    uncertainty: dict[str, Annotated[float, number()]] = Field(default_factory=dict)
+
+
+class ExperimentsFile(Part):
+    """The whole of an experiments.toml."""
+
+    experiments: Annotated[
+        list[ExperimentTable],
+        Field(min_length=1),
+        custom_message("there is no experiment", "Start each with a line [[experiments]]."),
+    ]
+    rigs: dict[str, RigTable] = Field(default_factory=dict)
+
+
+def read_experiments(given: LaxityLike | Sequence[LaxityLike]) -> Laxity:
+    """The laxity of one table, of several, or of the experiments that a TOML file lists.
+
+    Several tables are experiments named after their files, made by one rig in one mounting. An
+    ``experiments.toml`` says more: of each experiment its ``table``, ``rig``, ``state`` and whether
+    the knee was ``remounted``; of each rig its ``noise`` and ``uncertainty``.
+
+    Raises
+    ------
+    InputError
+        If a file breaks a rule.
+    ValueError
+        If the tables do not fit together.
+    """
+    if isinstance(given, Laxity):
+        return given
+    if isinstance(given, str | os.PathLike):
+        path = Path(given)
+        return _of_file(path) if path.suffix.lower() == TOML else read_laxity(given)
+    if not isinstance(given, Sequence):
+        return read_laxity(given)
+    tables = [x if isinstance(x, Laxity) else read_laxity(x) for x in given]
+    if len(tables) == 1:
+        return tables[0]
+    names = [x.protocol.name for x in tables]
+    if twice := next((x for x in names if names.count(x) > 1), ""):
+        raise ValueRefused(f"two tables are called {twice}", "rename one of the files")
+    experiments = [Experiment(name=x, rig=RIG, mounting=f"{RIG}-1") for x in names]
+    return joined(list(zip(experiments, tables, strict=True)))
+
+
+def is_experiments(path: Path) -> bool:
+    """Whether a file lists experiments, and is no subject."""
+    if path.suffix.lower() != TOML or not path.is_file():
+        return False
+    return "[[experiments]]" in path.read_text(encoding="utf-8", errors="replace")
+
+
+def _of_file(path: Path) -> Laxity:
+    stated = validated(ExperimentsFile, read_toml(path, LARGEST_MB), lambda x: _error(path, x))
+    known = {x.rig for x in stated.experiments}
+    for name, rig in stated.rigs.items():
+        place = f"[rigs.{name}]"
+        if name not in known:
+            why = "no experiment was made with this rig"
+            raise InputError(path, place, why, f"Rigs of the experiments: {', '.join(known)}.")
+        for part in rig.uncertainty:
+            if part not in OF_RIG:
+                why = f"{part} does not belong to a rig"
+                remedy = f"Known are {', '.join(OF_RIG)}; state the others with the subject."
+                raise InputError(path, f"{place} uncertainty", why, remedy)
+    mounted: dict[str, int] = {}
+    tables = []
+    for i, x in enumerate(stated.experiments, 1):
+        place = f"[[experiments]] block {i}"
+        if x.remounted or x.rig not in mounted:
+            mounted[x.rig] = mounted.get(x.rig, 0) + 1
+        rig = stated.rigs.get(x.rig, RigTable())
+        try:
+            experiment = Experiment(
+                name=x.name,
+                rig=x.rig,
+                mounting=f"{x.rig}-{mounted[x.rig]}",
+                uncertainty=rig.uncertainty,
+            )
+            table = _in_state(read_laxity(path.parent / x.table), x.state)
+            tables.append((experiment, _with_noise(table, rig.noise)))
+        except ValueRefused as error:
+            raise InputError(path, place, error.why, f"{error.remedy}.") from None
+    try:
+        return joined(tables)
+    except ValueRefused as error:
+        raise InputError(path, "", error.why, f"{error.remedy}.") from None
+
+
+def _error(path: Path, fault: Fault) -> InputError:
+    place = ", ".join(str(x) for x in (*fault.place, fault.key) if x != "")
+    if fault.is_unknown:
+        return InputError(path, place, "this word is unknown here", "Remove it.")
+    return InputError(path, place, fault.why or "it is missing", fault.remedy or "Add it.")
+
+
+def _in_state(laxity: Laxity, state: str) -> Laxity:
+    """The table with the state that its experiment has."""
+    words, own = state_words(cuts_of(state)), laxity.protocol.state
+    if words == INTACT:
+        return laxity
+    if own is not None and set(own) != {words}:
+        other = next(x for x in own if x != words)
+        raise ValueRefused(
+            f"the experiment is in the state {words!r}, and its table says {other!r}",
+            "state it in one place",
+        )
+    states = (words,) * laxity.n
+    return replace(laxity, protocol=replace(laxity.protocol, state=states))
+
+
+def _with_noise(laxity: Laxity, noise: str | None) -> Laxity:
+    """The table with the noise of its rig, where it states none itself."""
+    if noise is None or laxity.sd is not None:
+        return laxity
+    sizes = np.empty(5)
+    sizes[TRANSLATIONS], sizes[ROTATIONS] = noise_sizes(noise, "noise")
+    return replace(laxity, sd=np.where(laxity.is_measured, sizes, np.nan))
+
+
+def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
+    """One laxity of all trials of several experiments.
+
+    Trials keep their names unless two experiments have one of the same name: then all are called
+    ``experiment/trial``.
+
+    Raises
+    ------
+    ValueError
+        If two experiments have one name, tables count coordinates from different zeros or have
+        different correlations of errors, or only some of them state their noise.
+    """
+    experiments = tuple(x for x, _ in tables)
+    names = [x.name for x in experiments]
+    if twice := next((x for x in names if names.count(x) > 1), ""):
+        raise ValueRefused(f"two experiments are called {twice}", "give each its own name")
+    laxities = [x for _, x in tables]
+    zero = _common([x.zero for x in laxities], names, "count coordinates from", "convert one")
+    if zero not in ("absolute", "unloaded", "opposite"):
+        raise ValueRefused(
+            f"the tables count coordinates from a trial, {zero}",
+            "with several tables write zero: unloaded or opposite",
+        )
+    correlation = _common(
+        [x.within_trial_correlation for x in laxities],
+        names,
+        "state within-trial correlations of",
+        "state one for all",
+    )
+    without = [n for n, x in zip(names, laxities, strict=True) if x.sd is None]
+    if without and len(without) < len(names):
+        raise ValueRefused(
+            f"{', '.join(without)} states no noise, and other tables do",
+            "state that of all, in columns sd_ or as the noise of a rig",
+        )
+    has_phase = any(x.phase is not None for x in laxities)
+    return Laxity(
+        protocol=_joined_protocol(experiments, [x.protocol for x in laxities]),
+        coordinates=np.concatenate([x.coordinates for x in laxities]),
+        sd=None if without else np.concatenate([_sd(x) for x in laxities]),
+        within_trial_correlation=correlation,
+        phase=tuple(p for x in laxities for p in x.phase or ("",) * x.n) if has_phase else None,
+        comments=tuple(dict.fromkeys(c for x in laxities for c in x.comments)),
+        zero=zero,
+        findings=tuple(f for x in laxities for f in x.findings),
+    )
+
+
+def _joined_protocol(experiments: Sequence[Experiment], protocols: Sequence[Protocol]) -> Protocol:
+    trials = [t for x in protocols for t in x.trials]
+    if len(set(trials)) < len(trials):
+        pairs = zip(experiments, protocols, strict=True)
+        trials = [f"{x.name}/{t}" for x, y in pairs for t in y.trials]
+    return Protocol(
+        name="+".join(x.name for x in experiments),
+        trials=tuple(trials),
+        flexion_deg=np.concatenate([x.flexion_deg for x in protocols]),
+        loads=np.concatenate([x.loads for x in protocols]),
+        state=tuple(s for x in protocols for s in x.state or (INTACT,) * x.n),
+        experiment=tuple(
+            x.name for x, y in zip(experiments, protocols, strict=True) for _ in y.trials
+        ),
+        experiments=tuple(experiments),
+    )
+
+
+def _common(values: Sequence[Any], names: Sequence[str], what: str, remedy: str) -> Any:
+    """The value that all tables share."""
+    pairs = zip(values, names, strict=True)
+    if other := next(((x, n) for x, n in pairs if x != values[0]), None):
+        raise ValueRefused(f"{names[0]} and {other[1]} {what} {values[0]} and {other[0]}", remedy)
+    return values[0]
+
+
+def _sd(laxity: Laxity) -> Array:
+    return np.full((laxity.n, 5), np.nan) if laxity.sd is None else laxity.sd
