@@ -125,11 +125,11 @@ def _of_file(path: Path) -> Laxity:
             table = _in_state(read_laxity(path.parent / x.table), x.state)
             tables.append((experiment, _with_noise(table, rig.noise)))
         except ValueRefused as error:
-            raise InputError(path, place, error.why, f"{error.remedy}.") from None
+            raise InputError(path, place, error.why, error.advice) from None
     try:
         return joined(tables)
     except ValueRefused as error:
-        raise InputError(path, "", error.why, f"{error.remedy}.") from None
+        raise InputError(path, "", error.why, error.advice) from None
 
 
 def _error(path: Path, fault: Fault) -> InputError:

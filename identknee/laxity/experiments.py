@@ -9,6 +9,7 @@ from identknee.runs.errors import ValueRefused
 INTACT, CUT = "intact", "cut:"
 _LIGAMENT = re.compile(r"(?P<ligament>[^,%]+?)(?:\s+(?P<percent>[0-9.]+)\s*%)?")
 _NAME = re.compile(r"[\w-]([\w -]*[\w-])?")
+_STATE = re.compile(r"cut\s*:(?P<first>.+)|(?P<last>.+?)[\s-]+(cut|deficient)", re.IGNORECASE)
 WRITE = 'write "intact", "cut: ACL", "cut: ACL, dMCL" or "cut: ACL 50%"'
 
 
@@ -68,15 +69,14 @@ def cuts_of(state: str) -> tuple[Cut, ...]:
     --------
     >>> [(x.ligament, x.fraction) for x in cuts_of("cut: ACL, MCL 50%")]
     [('ACL', 1.0), ('MCL', 0.5)]
-    >>> cuts_of("intact")
-    ()
+    >>> cuts_of("intact"), state_words(cuts_of("ACL cut")), state_words(cuts_of("ACL-deficient"))
+    ((), 'cut: ACL', 'cut: ACL')
     """
-    text = state.strip()
-    if text.lower() in (INTACT, ""):
+    if state.strip().lower() in (INTACT, ""):
         return ()
-    if not text.lower().startswith(CUT):
+    if (form := _STATE.fullmatch(state.strip())) is None:
         raise ValueRefused(f"the state {state!r} is unknown", WRITE)
-    found = [_cut(state, x) for x in text[len(CUT) :].split(",")]
+    found = [_cut(state, x) for x in (form["first"] or form["last"]).split(",")]
     names = [x.ligament for x in found]
     if twice := next((x for x in names if names.count(x) > 1), ""):
         raise ValueRefused(f"the state {state!r} cuts {twice} twice", "name each ligament once")

@@ -545,7 +545,7 @@ def _state(file: Path, place: str, state: str) -> str:
     try:
         return state_words(cuts_of(state))
     except ValueRefused as error:
-        raise InputError(file, f"{place}, state", error.why, f"{error.remedy}.") from None
+        raise InputError(file, f"{place}, state", error.why, error.advice) from None
 
 
 def _shortest(value: float) -> str:

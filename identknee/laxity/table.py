@@ -390,7 +390,7 @@ def _state(row: TableRow) -> str:
     try:
         return state_words(cuts_of(row.text("state")))
     except ValueRefused as error:
-        row.refuse("state", error.why, f"{error.remedy}.")
+        row.refuse("state", error.why, error.advice)
 
 
 def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 OF_RIG, OF_MOUNTING = ("load_gain", "load_axes", "registration"), ("flexion",)
 # Standard deviation of the fraction of stiffness that a partial cut takes away.
 PARTIAL_CUT_SD = 0.2
+CUT = "cut"
 OF = "/"
 ONE = Experiment(name="all", rig="rig", mounting="mounting")
 
@@ -103,7 +104,7 @@ def parts_of(model: "LaxityModel") -> tuple[Part, ...]:
         part = replace(
             model,
             protocol=replace(protocol.select(trials), state=None, experiment=None, experiments=()),
-            effects=tuple(_renamed(x, x.name.rpartition(OF)[2]) for x in (*own, *others)),
+            effects=tuple(_renamed(x, _plain_name(x)) for x in (*own, *others)),
             order=None if model.order is None else model.order[trials],
             phase=None if model.phase is None else tuple(model.phase[i] for i in trials),
             poses=None if model.poses is None else model.poses[trials],
@@ -137,6 +138,12 @@ def scope_of(effect: Effect) -> str:
     return scope if of else ""
 
 
+def _plain_name(effect: Effect) -> str:
+    """Its name in a part, where it is the only one of its kind, or of its ligament."""
+    scope, _, kind = effect.name.rpartition(OF)
+    return f"{CUT}_{scope}" if kind == CUT else kind
+
+
 def _scope(cut: Cut) -> str:
     return cut.words.replace(" ", "_")
 
@@ -149,7 +156,7 @@ def cut(knee: Knee, what: Cut) -> InputsChange:
     groups = {x.name: x.members for x in knee.groups}
     members = groups.get(what.ligament, (what.ligament,))
     owners = np.array([i for i, x in enumerate(knee.ligaments) if x.name in members])
-    name = f"{_scope(what)}{OF}cut_{what.ligament}"
+    name = f"{_scope(what)}{OF}{CUT}"
     sd = [PARTIAL_CUT_SD] if what.is_partial else []
     made = amplitudes(
         name,

@@ -65,6 +65,11 @@ class ValueRefused(ValueError):  # noqa: N818 - said to a person as a sentence
         """Both, as one sentence."""
         return f"{self.why}; {self.remedy}"
 
+    @property
+    def advice(self) -> str:
+        """What to do, as a sentence of its own."""
+        return f"{self.remedy[:1].upper()}{self.remedy[1:]}."
+
 
 def suggestion(word: str, known: Iterable[str], *, most: int | None = None) -> str:
     """Sentence that names the closest of the `known` words, or the first `most` if none is close.
