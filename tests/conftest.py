@@ -13,7 +13,8 @@ from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
 
 from identknee.laxity.protocol import load_protocol
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.subject.folder import example
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee

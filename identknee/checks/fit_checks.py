@@ -27,9 +27,10 @@ from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
 from identknee.model.contact_loads import contact_values
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.parameters import Parameters
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity, finding, without_repeats

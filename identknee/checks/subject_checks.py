@@ -9,8 +9,9 @@ import numpy as np
 
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS
 from identknee.model.insertion_moves import ENOUGH_MARGIN, WITHIN, InsertionMove, rank_moves
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial

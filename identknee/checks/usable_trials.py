@@ -24,8 +24,9 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.model.held_trials import HeldTrials
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
+from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.findings import Finding, finding

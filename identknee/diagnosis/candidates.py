@@ -22,7 +22,7 @@ from identknee.diagnosis.score import (
     score_test,
 )
 from identknee.mechanics.pose import coordinate_jacobian
-from identknee.model.effects.effect import PLAIN, Effect, unit_of
+from identknee.model.effects.effect import OF, PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
@@ -287,7 +287,7 @@ class CandidateCauses:
 
     def visibility(self, effect: Effect) -> Detectability:
         """The detectable size of an effect."""
-        relevant = FACTS[effect.name].relevant
+        relevant = FACTS[effect.name.rpartition(OF)[2]].relevant
         variant = self.typical(effect.name)
         if variant is None:
             name = effect.parameters.names[0]

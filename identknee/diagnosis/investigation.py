@@ -51,6 +51,7 @@ from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
+from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding
@@ -299,7 +300,8 @@ def _start(knee: Knee, laxity: Laxity, name: str | os.PathLike[str]) -> Array:
 
 
 def _library(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
-    return library(knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None)
+    causes = library(knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None)
+    return causes_in_experiments(causes, laxity.protocol)
 
 
 def _explained(

@@ -10,14 +10,10 @@ from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.pose import coordinate_jacobian, rotation_matrix
 from identknee.model.effects.structures import MissingStructure
-from identknee.model.laxity_model import (
-    LaxityModel,
-    Prediction,
-    observed_slopes,
-    trial_contacts,
-)
+from identknee.model.laxity_model import LaxityModel, observed_slopes, trial_contacts
 from identknee.model.line_loads import added_line_tensions, line_loads
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT
+from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry

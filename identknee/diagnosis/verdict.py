@@ -26,7 +26,7 @@ from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
 from identknee.identify.laplace import Interval, Laplace
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
-from identknee.model.effects.facts import FACTS, cause_label
+from identknee.model.effects.facts import cause_label, facts_of
 from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.runs.arrays import Array
@@ -677,13 +677,13 @@ class Cause:
     def meaning(self) -> str:
         """What the cause is, as a sentence."""
         moved = direction_words({name: x.value for name, x in self.parameters.items()})
-        return moved or (FACTS[self.name].sentence if self.name in FACTS else OF_THE_CALLER)
+        return moved or (known.sentence if (known := facts_of(self.name)) else OF_THE_CALLER)
 
     @property
     @derived("Where its plausible size comes from")
     def source(self) -> str:
         """Where its plausible size comes from."""
-        return FACTS[self.name].source if self.name in FACTS else OF_THE_CALLER
+        return known.source if (known := facts_of(self.name)) else OF_THE_CALLER
 
 
 def causes_of(refit: Refit) -> tuple[Cause, ...]:

@@ -5,11 +5,11 @@ from .effects.effect import amplitudes as amplitudes
 from .effects.library import effects_of as effects_of
 from .effects.library import library as library
 from .effects.tissues import Cartilage as Cartilage
-from .laxity_model import Prediction as Prediction
 from .line_loads import strains_of as strains_of
 from .line_loads import tensions_of as tensions_of
 from .parameters import STIFFNESS as STIFFNESS
 from .parameters import STRAIN as STRAIN
+from .prediction import Prediction as Prediction
 from .quantities import LaxityOutputs as LaxityOutputs
 from .quantities import PredictedQuantity as PredictedQuantity
 from .quantities import ligament_forces as ligament_forces

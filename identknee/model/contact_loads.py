@@ -4,8 +4,9 @@ import numpy as np
 
 from identknee.mechanics.compartment_loads import CompartmentLoads, compartment_loads
 from identknee.mechanics.pose import place
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # In the order of the tibial surfaces of a knee.

@@ -1,123 +1,61 @@
 """One knee in several experiments: what is cut in each, and the errors of its rig and mounting.
 
-The trials of one rig, mounting and state are a part of the model: an ordinary laxity model, with
-the parameters that bear on it. Predictions of the whole are put together from those of its parts.
+Parameters of the ligaments are those of all trials. Errors of a rig or a mounting, and fractions
+of partial cuts, are called ``scope/name``.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from identknee.laxity.experiments import INTACT, Cut, Experiment, cuts_of
 from identknee.laxity.protocol import Protocol
-from identknee.model.effects.effect import Effect, InputsChange, amplitudes, moves_frames
+from identknee.model.effects.effect import (
+    OF,
+    Effect,
+    InputsChange,
+    amplitudes,
+    renamed,
+    scope_of,
+    scoped,
+)
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.nuisances import stored_effects
 from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
 
 if TYPE_CHECKING:
-    from identknee.model.laxity_model import LaxityModel, Prediction
+    pass
 
 # Errors that belong to a rig, and to a mounting of the knee in it, by their names.
 OF_RIG, OF_MOUNTING = ("load_gain", "load_axes", "registration"), ("flexion",)
+# Causes that belong to a rig.
+CAUSES_OF_RIG = (
+    "moment_gain_IE",
+    "moment_gain_VV",
+    "moment_offset",
+    "axis_misalignment",
+    "parasitic_shear",
+    "femur_frame",
+    "tibia_frame",
+    "flexion_offset",
+    "rig_compliance_IE",
+    "rig_compliance_VV",
+    "hysteresis",
+)
+# Where two rigs are compared one may be off by more than any rig alone is expected to be.
+GAINS, GAIN_SD, GAIN_LIMITS = CAUSES_OF_RIG[:2], 0.3, (-0.9, 1.5)
 # Standard deviation of the fraction of stiffness that a partial cut takes away.
 PARTIAL_CUT_SD = 0.2
 CUT = "cut"
-OF = "/"
 ONE = Experiment(name="all", rig="rig", mounting="mounting")
 
 
-@declared
-class Part:
-    """The trials of a model that are of one rig, mounting and state of the knee."""
-
-    model: "LaxityModel" = entry("The model of these trials")
-    trials: IntArray = array("Their places among all", "trial", dtype=int)
-    columns: IntArray = array("Places of its parameters among all", "parameter", dtype=int)
-
-    def prediction(self, whole: "Prediction") -> "Prediction":
-        """Its part of a prediction of the whole."""
-        values: dict[str, Any] = {}
-        for name in (*OF_TRIALS, *JACOBIANS):
-            value = getattr(whole, name)
-            values[name] = None if value is None else value[self.trials]
-            if value is not None and name in JACOBIANS:
-                values[name] = values[name][:, :, self.columns]
-        return replace(whole, theta=whole.theta[self.columns], **values)
-
-    def spread(self, values: Array, into: Array) -> None:
-        """Put values of its trials, and derivatives by its parameters, among those of all.
-
-        Parameters
-        ----------
-        values, into
-            Of its trials and of all, shape ``(k, ..., p)`` and ``(n, ..., p)``.
-        """
-        place = np.zeros((*values.shape[:-1], into.shape[-1]))
-        # What has no derivatives by its own parameters has none by others.
-        place[np.isnan(values).all(axis=-1)] = np.nan
-        place[..., self.columns] = values
-        into[self.trials] = place
-
-
-OF_TRIALS = (
-    "coordinates",
-    "held_coordinates",
-    "codes",
-    "poses",
-    "reached",
-    "released",
-    "centres",
-    "hessians",
-)
-JACOBIANS = ("jacobian", "held_jacobian", "pose_jacobian")
-
-
-def parts_of(model: "LaxityModel") -> tuple[Part, ...]:
-    """The parts of a model whose protocol has several; empty where all trials are alike.
-
-    Raises
-    ------
-    ValueError
-        If a state names no ligament of the knee, or cuts all of them.
-    """
-    protocol = model.protocol
-    kinds = _kinds(protocol)
-    if len(set(kinds)) == 1 and kinds[0][1] == INTACT and not _has_scopes(model.effects):
-        return ()
-    places = {name: i for i, name in enumerate(model.parameters.names)}
-    parts = []
-    for kind in dict.fromkeys(kinds):
-        experiment, state = kind
-        trials = np.array([i for i, x in enumerate(kinds) if x == kind])
-        cuts = cuts_of(state)
-        scopes = {"", experiment.rig, experiment.mounting, *map(_scope, cuts)}
-        own = [x for x in model.effects if scope_of(x) in scopes]
-        made = set(map(scope_of, own))
-        others = [cut(model.knee, x) for x in cuts if _scope(x) not in made]
-        part = replace(
-            model,
-            protocol=replace(protocol.select(trials), state=None, experiment=None, experiments=()),
-            effects=tuple(_renamed(x, _plain_name(x)) for x in (*own, *others)),
-            order=None if model.order is None else model.order[trials],
-            phase=None if model.phase is None else tuple(model.phase[i] for i in trials),
-            poses=None if model.poses is None else model.poses[trials],
-            fallback_poses=None if model.fallback_poses is None else model.fallback_poses[trials],
-        )
-        ligaments = model.parameters.names[: model.n_ligament_parameters]
-        names = (*ligaments, *(name for x in own for name in x.parameters.names))
-        columns = np.array([places[name] for name in names], dtype=np.int64)
-        parts.append(Part(model=part, trials=trials, columns=columns))
-    return tuple(parts)
-
-
-def _kinds(protocol: Protocol) -> list[tuple[Experiment, str]]:
+def kinds_of_trials(protocol: Protocol) -> list[tuple[Experiment, str]]:
     """Rig and mounting of each trial, as the first experiment with them, and its state."""
     states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
     if protocol.experiment is None:
@@ -128,14 +66,24 @@ def _kinds(protocol: Protocol) -> list[tuple[Experiment, str]]:
     return [(of[name], x) for name, x in zip(protocol.experiment, states, strict=True)]
 
 
-def _has_scopes(effects: Sequence[Effect]) -> bool:
-    return any(map(scope_of, effects))
+def effects_of_part(
+    knee: Knee, effects: Sequence[Effect], experiment: Experiment, state: str
+) -> tuple[list[Effect], tuple[Effect, ...]]:
+    """Which of a model's effects act in an experiment and a state, and how they act there.
 
-
-def scope_of(effect: Effect) -> str:
-    """The rig, mounting or partial cut that an effect belongs to; empty for the whole knee."""
-    scope, of, _ = effect.name.rpartition(OF)
-    return scope if of else ""
+    Returns
+    -------
+    own
+        Those of the whole knee, of the rig, of the mounting and of the cuts.
+    acting
+        The same under plain names, and the cuts through whole ligaments.
+    """
+    cuts = cuts_of(state)
+    scopes = {"", experiment.rig, experiment.mounting, *map(_scope, cuts)}
+    own = [x for x in effects if scope_of(x) in scopes]
+    made = set(map(scope_of, own))
+    whole = [cut(knee, x) for x in cuts if _scope(x) not in made]
+    return own, tuple(renamed(x, _plain_name(x)) for x in (*own, *whole))
 
 
 def _plain_name(effect: Effect) -> str:
@@ -217,7 +165,7 @@ def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]
         kind = {**dict.fromkeys(OF_RIG, "rig"), **dict.fromkeys(OF_MOUNTING, "mounting")}
         scopes = _scopes(experiments, kind.get(effect.name, ""))
         is_stated = not effect.parameters.is_of_interest.any()
-        made += [_scoped(effect, x) for x in scopes] if scopes and is_stated else [effect]
+        made += [scoped(effect, x) for x in scopes] if scopes and is_stated else [effect]
     return (*made, *_rig_errors(knee, experiments, made), *_partial_cuts(knee, protocol))
 
 
@@ -234,63 +182,37 @@ def _rig_errors(
         stated = knee.with_uncertainty(replace(knee.uncertainty, **x.uncertainty))
         for effect in stored_effects(stated):
             if effect.name in OF_RIG:
-                scoped = _scoped(effect, x.rig)
-                made[:] = [y for y in made if y.name not in (scoped.name, effect.name)]
-                yield scoped
+                own = scoped(effect, x.rig)
+                made[:] = [y for y in made if y.name not in (own.name, effect.name)]
+                yield own
 
 
-def _scoped(effect: Effect, scope: str) -> Effect:
-    return _renamed(effect, f"{scope}{OF}{effect.name}")
+def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:
+    """Candidate causes, those of a rig once for each where there are several."""
+    scopes = _scopes(protocol.experiments, "rig")
+    if not scopes:
+        return tuple(effects)
+    return tuple(
+        each
+        for x in effects
+        for each in ([_of_one_rig(x, rig) for rig in scopes] if x.name in CAUSES_OF_RIG else [x])
+    )
 
 
-def _renamed(effect: Effect, name: str) -> Effect:
-    """The effect under another name, which the names of its amplitudes begin with."""
-    if name == effect.name:
-        return effect
-    renamed: Any = replace(cast(Any, effect), name=name)
-    if moves_frames(effect):
-        return cast(Effect, renamed)
-    names = tuple(f"{name}.{x.rpartition('.')[2]}" for x in effect.parameters.names)
-    return cast(Effect, replace(renamed, parameters=replace(effect.parameters, names=names)))
+def _of_one_rig(effect: Effect, rig: str) -> Effect:
+    made = scoped(effect, rig)
+    if effect.name not in GAINS:
+        return made
+    parameters = replace(
+        made.parameters,
+        prior_sd=np.full(1, GAIN_SD),
+        lower=np.full(1, GAIN_LIMITS[0]),
+        upper=np.full(1, GAIN_LIMITS[1]),
+    )
+    wider: Any = replace(made, parameters=parameters)  # type: ignore[type-var]
+    return wider  # type: ignore[no-any-return]
 
 
 def _partial_cuts(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]:
     cuts = {x.words: x for state in protocol.state or () for x in cuts_of(state) if x.is_partial}
     return tuple(cut(knee, x) for x in cuts.values())
-
-
-def merged_prediction(
-    parts: Sequence[Part], found: Sequence["Prediction"], theta: Array
-) -> "Prediction":
-    """The prediction of all trials from those of the parts."""
-    n, first = sum(len(x.trials) for x in parts), found[0]
-    values: dict[str, Any] = {}
-    for name in OF_TRIALS:
-        if getattr(first, name) is None:
-            values[name] = None
-            continue
-        own = [np.asarray(getattr(x, name)) for x in found]
-        whole = np.empty((n, *own[0].shape[1:]), own[0].dtype)
-        for part, x in zip(parts, own, strict=True):
-            whole[part.trials] = x
-        values[name] = whole
-    for name in JACOBIANS:
-        values[name] = None
-        if getattr(first, name) is not None:
-            values[name] = np.zeros((n, 5, theta.size))
-            for part, one in zip(parts, found, strict=True):
-                part.spread(getattr(one, name), values[name])
-    poses = np.concatenate([x.node_poses for x in found])
-    return replace(first, theta=np.array(theta, float), node_poses=poses, **values)
-
-
-def guesses(parts: Sequence[Part], near: "Prediction | None") -> list["Prediction | None"]:
-    """The prediction that each part starts from, of one of the whole."""
-    if near is None:
-        return [None] * len(parts)
-    ends = np.cumsum([len(x.model.paths.flexion) for x in parts])[:-1]
-    nodes = np.split(near.node_poses, ends)
-    return [
-        replace(part.prediction(near), node_poses=poses)
-        for part, poses in zip(parts, nodes, strict=True)
-    ]

@@ -3,7 +3,7 @@
 import hashlib
 import io
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -12,6 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.closest_point import mesh_distance
@@ -22,7 +23,6 @@ from identknee.mechanics.contact_points import (
     contact_places,
     contact_points,
     rim_distance,
-    rim_force_fraction,
 )
 from identknee.mechanics.distance_field import SPACING, ContactLaw, DistanceField, build_field
 from identknee.mechanics.equilibria import (
@@ -32,21 +32,12 @@ from identknee.mechanics.equilibria import (
     LoadPaths,
     load_paths,
     paths_of_release,
-    solve,
-    stability_margins,
 )
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, start_pose
-from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, joined
-from identknee.model.effects.library import values_of
-from identknee.model.experiments import (
-    Part,
-    effects_in_experiments,
-    guesses,
-    merged_prediction,
-    parts_of,
-)
+from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, scope_of
+from identknee.model.experiments import effects_in_experiments, effects_of_part, kinds_of_trials
 from identknee.model.mechanics_inputs import (
     PER_KN,
     PER_PCT,
@@ -58,14 +49,21 @@ from identknee.model.mechanics_inputs import (
     poses_of_measured_trials,
 )
 from identknee.model.nuisances import StoredWithKnee, contact_rounding
-from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, short_repr
-from identknee.runs.declare import declared, entry
+from identknee.model.parameter_groups import (
+    ParameterGroups,
+    knee_parameters,
+    lines_by_units,
+    tied,
+)
+from identknee.model.parameters import Parameters
+from identknee.model.prediction import Prediction, solve_beyond_folds
+from identknee.runs.arrays import Array, IntArray, frozen, short_repr
+from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Frame, Knee, StatedPrior
+from identknee.subject.knee import Frame, Knee
 from identknee.subject.surface import Surface
 
 FIELD_FORMAT = b"field 6"
@@ -168,298 +166,6 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
     return field
 
 
-def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Parameters:
-    """A copy with other priors for the parameters named.
-
-    Raises
-    ------
-    ValueError
-        If a name is no parameter's, or a lognormal prior has no centre above 0.
-
-    Examples
-    --------
-    >>> from identknee.model.parameters import ligament_parameters
-    >>> everything = ligament_parameters(["ACL"], [10.0], [8.0])
-    >>> with_priors(everything, {"ACL.stiffness_kN": StatedPrior(log_sd=0.5)}).prior_sd.tolist()
-    [0.5, 2.0]
-    """
-    if not priors:
-        return parameters
-    center, prior_sd = np.array(parameters.center), np.array(parameters.prior_sd)
-    is_log, start = np.array(parameters.is_log), np.array(parameters.start)
-    for name, prior in priors.items():
-        i = parameters.index(name)
-        center[i] = start[i] if prior.center is None else prior.center
-        prior_sd[i], is_log[i] = prior.spread, prior.is_log
-        if prior.is_log and not center[i] > 0.0:
-            raise ValueError(
-                f"the lognormal prior of {name} needs a centre above 0, got {center[i]:g}"
-            )
-    return replace(parameters, center=center, prior_sd=prior_sd, is_log=is_log, own=start)
-
-
-@declared
-class ParameterGroups:
-    """Parameter groups with one stiffness scale and strain offset: several ligaments or one."""
-
-    names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
-    member: Array = entry(
-        "Which of the m ligaments belongs to which unit, 1 or 0, shape ``(m, u)``"
-    )
-    share: Array = entry("Stiffness of each ligament over that of its unit, shape ``(m,)``")
-    offset: Array = entry("Reference strain of each less that of its unit [%], shape ``(m,)``")
-    stiffness_kN: Array = entry("The knee's own stiffness of each unit: the sum, shape ``(u,)``")  # noqa: N815 - the unit
-    reference_strain_pct: Array = entry(
-        "The knee's own reference strain of each unit: the mean weighted by stiffness, shape "
-        "``(u,)``"
-    )
-    by_stiffness: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "by_stiffness", self.member * self.share[:, None])
-
-    @property
-    def n(self) -> int:
-        """How many units there are."""
-        return len(self.names)
-
-    def stiffness(self, values: Array) -> Array:
-        """Stiffness of each ligament from those of the units, shape ``(m,)``."""
-        return np.asarray(self.by_stiffness @ values)
-
-    def strain(self, values: Array) -> Array:
-        """Reference strain of each ligament [%] from those of the units, shape ``(m,)``."""
-        return np.asarray(self.member @ values + self.offset)
-
-    def strain_upper_limits(self, strains: Array) -> Array:
-        """The largest strain of each unit [%] at which no member exceeds its own, ``(u,)``."""
-        allowed = np.where(self.member > 0.0, (strains - self.offset)[:, None], np.inf)
-        return np.asarray(allowed.min(axis=0))
-
-
-def tied(knee: Knee) -> ParameterGroups:
-    """The parameter groups of a knee: its ligament groups, and its other ligaments alone.
-
-    Examples
-    --------
-    >>> from identknee.subject.reference import reference_knee
-    >>> tied(reference_knee()).names
-    ('ACL', 'PCL', 'LCL', 'MCL')
-    """
-    group_of = {member: group.name for group in knee.groups for member in group.members}
-    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
-    names = tuple(dict.fromkeys(owners))
-    member = np.array([[float(owner == x) for x in names] for owner in owners])
-    member = member.reshape(len(owners), len(names))
-    stiffness = np.array([x.stiffness_kN for x in knee.ligaments])
-    strain = np.array([x.reference_strain_pct for x in knee.ligaments])
-    alone = member.sum(axis=0) == 1.0
-    total = stiffness @ member
-    # A ligament alone has its whole stiffness, also where that is zero.
-    weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
-    mean = (weights * strain) @ member
-    return ParameterGroups(
-        names=names,
-        member=frozen(member, None, None, name="members"),
-        share=frozen(weights, None, name="shares"),
-        offset=frozen(strain - member @ mean, None, name="offsets"),
-        stiffness_kN=total,
-        reference_strain_pct=mean,
-    )
-
-
-def knee_parameters(
-    knee: Knee, units: ParameterGroups, amplitudes: Parameters | None
-) -> Parameters:
-    """Parameters of the ligaments, then the amplitudes, with priors, bounds and own values.
-
-    Parameters
-    ----------
-    knee
-        The subject.
-    units
-        Its ligaments, those of a group as one.
-    amplitudes
-        Those of the effects; None without any.
-    """
-    parameters = ligament_parameters(
-        units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist()
-    )
-    if amplitudes is not None:
-        parameters = joined([parameters, amplitudes])
-    known = set(parameters.names)
-    priors = {name: x for name, x in knee.priors.items() if name in known}
-    bounds = {name: x for name, x in knee.bounds.items() if name in known}
-    stored = {**values_of(knee), **knee.fitted}
-    own = {name: x for name, x in stored.items() if name in known}
-    return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
-
-
-# A trial with more of its contact force near a rim than this is worth a word to the user.
-NOTEWORTHY_RIM_SHARE = 0.05
-# In the order of the kernel's codes.
-OUTCOMES = (
-    Outcome.CONVERGED,
-    Outcome.FOLD,
-    Outcome.NO_EQUILIBRIUM,
-    Outcome.UNCONSTRAINED,
-)
-
-
-@declared
-class Prediction:
-    """The prediction of a laxity model at one parameter vector, for n trials and p parameters."""
-
-    theta: Array = entry("The parameter vector, shape ``(p,)``")
-    coordinates: Array = entry(
-        "Lateral shift, anterior drawer, distraction [mm], varus, internal rotation [deg], shape "
-        "``(n, 5)``; NaN where a trial did not converge"
-    )
-    jacobian: Array | None = entry(
-        "Derivatives of the coordinates by theta, shape ``(n, 5, p)``; None if not asked for"
-    )
-    held_coordinates: Array = entry(
-        "Those of the last pose, also without equilibrium; where a search begins at a pose, that "
-        "in which a spring holds the knee, shape ``(n, 5)``"
-    )
-    held_jacobian: Array | None = entry(
-        "Their derivatives by theta, shape ``(n, 5, p)``; None with the Jacobian"
-    )
-    pose_jacobian: Array | None = entry(
-        "Derivatives of the pose by theta, shape ``(n, 5, p)``; None with the Jacobian"
-    )
-    codes: IntArray = entry("How each trial ended, as places in `OUTCOMES`, shape ``(n,)``")
-    poses: Array = entry(
-        "The last stable pose on the way to each trial: varus, internal [rad], x, y, z [mm], shape "
-        "``(n, 5)``"
-    )
-    hessians: Array | None = entry(
-        "Second derivatives of the energy there [N, N mm, N/mm], shape ``(n, 5, 5)``; None for "
-        "mesh contact, which has none"
-    )
-    reached: Array = entry(
-        "Share of the last load step that was reached, shape ``(n,)``; NaN where a search that "
-        "begins at full load failed"
-    )
-    released: Array = entry(
-        "How far a spring that holds the knee at its measured pose can let go, from 0 to 1, shape "
-        "``(n,)``; 0 where trials do not begin at measured poses"
-    )
-    centres: Array = entry(
-        "Contact force of every trial and compartment [N], its centre in tibial and in femoral "
-        "axes [mm], shape ``(n, compartments, 7)``"
-    )
-    rims: tuple[RimDistance, tuple[RimDistance, ...]] | None = entry(
-        "How far places are from the rims of the femur and of each tibial surface; None for mesh "
-        "contact"
-    )
-    node_poses: Array = entry(
-        "Poses at all nodes of the load paths, where another prediction may start"
-    )
-
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        for values in (self.theta, self.coordinates, self.codes, self.poses):
-            values.flags.writeable = False
-
-    @property
-    def outcomes(self) -> tuple[Outcome, ...]:
-        """How each trial ended."""
-        return tuple(OUTCOMES[code] for code in self.codes)
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """How each trial ended, as sentences."""
-        return tuple(
-            outcome.sentence
-            if converged or np.isnan(reached)
-            else f"{outcome.sentence} {100 * reached:.0f} % of the last load step was reached."
-            for outcome, converged, reached in zip(
-                self.outcomes, self.is_converged, self.reached, strict=True
-            )
-        )
-
-    @property
-    def is_converged(self) -> BoolArray:
-        """Which trials have an equilibrium, shape ``(n,)``."""
-        return np.asarray(self.codes == CONVERGED)
-
-    @property
-    def all_converged(self) -> bool:
-        """Whether every trial has one."""
-        return bool(self.is_converged.all())
-
-    @property
-    def rim_share(self) -> Array:
-        """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
-
-        NaN for mesh contact. A prediction near a rim is kept: losing it would end a set of
-        parameters without any data.
-        """
-        return _rim_share(self)
-
-    @property
-    def is_near_rim(self) -> BoolArray:
-        """Which converged trials carry a noteworthy share of contact near a rim, shape ``(n,)``."""
-        return np.asarray(self.is_converged & (self.rim_share > NOTEWORTHY_RIM_SHARE))
-
-    @property
-    def margins(self) -> Array:
-        """Stability margin of each trial's pose [N/mm], shape ``(n,)``.
-
-        The smallest eigenvalue of the Hessian, rotations scaled by 40 mm; NaN for mesh contact.
-        """
-        if self.hessians is None:
-            return np.full(len(self.codes), np.nan)
-        return stability_margins(self.hessians)
-
-
-# Asked for more than once of the same prediction, and slower to find than a pose.
-@lru_cache(maxsize=2)
-def _rim_share(found: Prediction) -> Array:
-    if found.rims is None:
-        return np.full(len(found.codes), np.nan)
-    share = rim_force_fraction(found.centres, *found.rims)
-    share.flags.writeable = False
-    return share
-
-
-def solve_beyond_folds(
-    paths: LoadPaths,
-    start: Array,
-    knee: tuple[ContactPoints, DistanceField, Any],
-    fallback_poses: Array | None,
-    **how: Any,
-) -> Equilibria:
-    """The equilibria at the nodes of `paths`; beyond folds from each trial's own pose.
-
-    The path to a trial may end, or its unloaded knee lie loose, for a small error of the geometry
-    where the knee that was measured had a pose. Its whole load is then put on the knee there.
-
-    Parameters
-    ----------
-    paths, start, knee, how
-        As for `identknee.mechanics.equilibria.solve`.
-    fallback_poses
-        Pose of each trial, shape ``(n, 5)``, NaN where none is known; None for none at all.
-    """
-    found = solve(paths, start, *knee, **how)
-    if fallback_poses is None:
-        return found
-    nodes = paths.trial_node
-    is_lost = (found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)
-    if not is_lost.any():
-        return found
-    lost = nodes[is_lost]
-    at_once = paths_of_release(paths.flexion[lost], paths.loads[lost])
-    again = solve(at_once, fallback_poses[is_lost], *knee, **{**how, "guesses": None})
-    is_found = again.codes == CONVERGED
-    for values, others in zip(found, again, strict=True):
-        values[lost[is_found]] = others[is_found]
-    return found
-
-
 Contact = Literal["field", "mesh"]
 # Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
 # loads of (varus, internal, x, y, z).
@@ -483,6 +189,53 @@ class _LastPrediction(threading.local):
 _LAST = _LastPrediction()
 # Models whose last prediction a thread remembers: a trial without equilibrium is predicted twice.
 REMEMBERED = 2
+
+
+# Arrays of a prediction with a row a trial; those of derivatives, with a column a parameter.
+OF_TRIALS = (
+    "coordinates",
+    "held_coordinates",
+    "codes",
+    "poses",
+    "reached",
+    "released",
+    "centres",
+    "hessians",
+)
+JACOBIANS = ("jacobian", "held_jacobian", "pose_jacobian")
+
+
+@declared
+class Part:
+    """The trials of a model that are of one rig, mounting and state of the knee."""
+
+    model: "LaxityModel" = entry("The model of these trials")
+    trials: IntArray = array("Their places among all", "trial", dtype=int)
+    columns: IntArray = array("Places of its parameters among all", "parameter", dtype=int)
+
+    def prediction(self, whole: "Prediction") -> "Prediction":
+        """Its part of a prediction of the whole."""
+        values: dict[str, Any] = {}
+        for name in (*OF_TRIALS, *JACOBIANS):
+            value = getattr(whole, name)
+            values[name] = None if value is None else value[self.trials]
+            if value is not None and name in JACOBIANS:
+                values[name] = values[name][:, :, self.columns]
+        return replace(whole, theta=whole.theta[self.columns], **values)
+
+    def spread(self, values: Array, into: Array) -> None:
+        """Put values of its trials, and derivatives by its parameters, among those of all.
+
+        Parameters
+        ----------
+        values, into
+            Of its trials and of all, shape ``(k, ..., p)`` and ``(n, ..., p)``.
+        """
+        place = np.zeros((*values.shape[:-1], into.shape[-1]))
+        # What has no derivatives by its own parameters has none by others.
+        place[np.isnan(values).all(axis=-1)] = np.nan
+        place[..., self.columns] = values
+        into[self.trials] = place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -820,13 +573,75 @@ class LaxityModel:
         return np.asarray(theta, float)[self.n_ligament_parameters :]
 
 
-def lines_by_units(owned: Array, share: Array, tied: ParameterGroups) -> Array:
-    """Parameters of the lines by those of the units in their units, shape ``(2m, 2u)``."""
-    m, u = len(owned), tied.n
-    units = np.zeros((2 * m, 2 * u))
-    units[:m, :u] = PER_KN * ((owned * share[:, None]) @ tied.by_stiffness)
-    units[m:, u:] = PER_PCT * (owned @ tied.member)
-    return units
+def parts_of(model: "LaxityModel") -> tuple[Part, ...]:
+    """The parts of a model whose protocol has several; empty where all trials are alike.
+
+    Raises
+    ------
+    ValueError
+        If a state names no ligament of the knee, or cuts all of them.
+    """
+    protocol, parts = model.protocol, []
+    kinds = kinds_of_trials(protocol)
+    is_scoped = any(map(scope_of, model.effects))
+    if len(set(kinds)) == 1 and kinds[0][1] == INTACT and not is_scoped:
+        return ()
+    places = {name: i for i, name in enumerate(model.parameters.names)}
+    ligaments = model.parameters.names[: model.n_ligament_parameters]
+    for experiment, state in dict.fromkeys(kinds):
+        trials = np.array([i for i, x in enumerate(kinds) if x == (experiment, state)])
+        own, effects = effects_of_part(model.knee, model.effects, experiment, state)
+        plain = replace(protocol.select(trials), state=None, experiment=None, experiments=())
+        part = replace(
+            model,
+            protocol=plain,
+            effects=effects,
+            order=None if model.order is None else model.order[trials],
+            phase=None if model.phase is None else tuple(model.phase[i] for i in trials),
+            poses=None if model.poses is None else model.poses[trials],
+            fallback_poses=None if model.fallback_poses is None else model.fallback_poses[trials],
+        )
+        names = (*ligaments, *(name for x in own for name in x.parameters.names))
+        columns = np.array([places[name] for name in names], dtype=np.int64)
+        parts.append(Part(model=part, trials=trials, columns=columns))
+    return tuple(parts)
+
+
+def merged_prediction(
+    parts: Sequence[Part], found: Sequence["Prediction"], theta: Array
+) -> "Prediction":
+    """The prediction of all trials from those of the parts."""
+    n, first = sum(len(x.trials) for x in parts), found[0]
+    values: dict[str, Any] = {}
+    for name in OF_TRIALS:
+        if getattr(first, name) is None:
+            values[name] = None
+            continue
+        own = [np.asarray(getattr(x, name)) for x in found]
+        whole = np.empty((n, *own[0].shape[1:]), own[0].dtype)
+        for part, x in zip(parts, own, strict=True):
+            whole[part.trials] = x
+        values[name] = whole
+    for name in JACOBIANS:
+        values[name] = None
+        if getattr(first, name) is not None:
+            values[name] = np.zeros((n, 5, theta.size))
+            for part, one in zip(parts, found, strict=True):
+                part.spread(getattr(one, name), values[name])
+    poses = np.concatenate([x.node_poses for x in found])
+    return replace(first, theta=np.array(theta, float), node_poses=poses, **values)
+
+
+def guesses(parts: Sequence[Part], near: "Prediction | None") -> list["Prediction | None"]:
+    """The prediction that each part starts from, of one of the whole."""
+    if near is None:
+        return [None] * len(parts)
+    ends = np.cumsum([len(x.model.paths.flexion) for x in parts])[:-1]
+    nodes = np.split(near.node_poses, ends)
+    return [
+        replace(part.prediction(near), node_poses=poses)
+        for part, poses in zip(parts, nodes, strict=True)
+    ]
 
 
 def predict_on_meshes(

@@ -7,8 +7,10 @@ import numpy as np
 
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import LigamentTensions, ligament_tensions
-from identknee.model.laxity_model import LaxityModel, Prediction, lines_by_units
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
+from identknee.model.parameter_groups import lines_by_units
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entries, entry
 

@@ -9,7 +9,7 @@ import numpy as np
 from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero, zero_trials
 from identknee.laxity.table import COORDINATES
 from identknee.model.contact_loads import COMPARTMENTS, KINDS, contact_jacobian, contact_values
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import (
     StructureLoads,
     index_of,
@@ -18,6 +18,7 @@ from identknee.model.line_loads import (
     structure_values,
 )
 from identknee.model.parameters import FreeParameters, Parameters
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 

@@ -15,14 +15,10 @@ from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.tissues import toe_strain
 from identknee.model.held_trials import FARTHEST, HeldTrials
-from identknee.model.laxity_model import (
-    LaxityModel,
-    Prediction,
-    observed_slopes,
-    trial_contacts,
-)
+from identknee.model.laxity_model import LaxityModel, observed_slopes, trial_contacts
 from identknee.model.nuisances import flexion
 from identknee.model.parameters import Parameters
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, IntArray, short_repr
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import whitening

@@ -66,10 +66,11 @@ from identknee.laxity.table import (
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.effects.library import choice_of
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
+from identknee.model.prediction import Prediction
 from identknee.model.quantities import AT, TENSION
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray

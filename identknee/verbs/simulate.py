@@ -21,8 +21,9 @@ from identknee.laxity.table import (
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.laxity_model import Contact, LaxityModel, Prediction
+from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.record import Outcome

@@ -11,7 +11,8 @@ from identknee.blind.experiment import experiment_of, parameter_derivatives, run
 from identknee.calibrate.fit import fit
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
 from identknee.subject.knee import Knee, with_stated_uncertainty
 

@@ -14,7 +14,8 @@ from tolerances import DERIVATIVE, SAME_POSE
 from identknee.mechanics.distance_field import DistanceField, _near, _reach
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments
 from identknee.model import laxity_model as module
-from identknee.model.laxity_model import ContactGeometry, LaxityModel, Prediction
+from identknee.model.laxity_model import ContactGeometry, LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.subject.folder import read_subject, write_subject
 
 MIRROR = np.array([1.0, 1.0, -1.0])

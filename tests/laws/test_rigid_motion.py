@@ -13,8 +13,9 @@ from small_knee import small_knee, small_protocol
 
 from identknee.mechanics.distance_field import DistanceField
 from identknee.model import laxity_model as joint
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # The grid of the distance field begins at the lowest vertex, which rounds: the spline differs by

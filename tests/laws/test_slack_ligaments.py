@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from tolerances import SAME_POSE
 
 from identknee.laxity.protocol import load_protocol
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 
 
 @given(

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from identknee.laxity.protocol import Protocol
 from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model.laxity_model import ContactGeometry, LaxityModel, Prediction
+from identknee.model.laxity_model import ContactGeometry, LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array, IntArray
 

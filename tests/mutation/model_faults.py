@@ -586,7 +586,7 @@ NUISANCES = (
         _NUISANCES,
     ),
     fault(
-        "identknee/model/laxity_model.py",
+        "identknee/model/prediction.py",
         "solve_beyond_folds",
         "(found.codes[nodes] != CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",
         "(found.codes[nodes] == CONVERGED) & np.isfinite(fallback_poses).all(axis=1)",

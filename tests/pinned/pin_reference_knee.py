@@ -13,8 +13,9 @@ from common.published import TABLE2
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import COORDINATES, Laxity, relative_to_unloaded
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 
 PATH = Path(__file__).with_name("reference_knee.json")
 

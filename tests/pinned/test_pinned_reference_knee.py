@@ -10,7 +10,8 @@ from common.published import TABLE2
 from pin_reference_knee import PATH, numbers, table2
 from tolerances import PINNED, PUBLISHED_MM_OR_DEG
 
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # The calibration's laxities are given to 0.01, from meshes of another resolution.

@@ -9,7 +9,8 @@ from tolerances import ORDER
 
 from identknee.mechanics.contact_points import contact_points
 from identknee.mechanics.equilibria import ContactPoints
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee
 

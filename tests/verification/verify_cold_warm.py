@@ -7,7 +7,8 @@ from knees import model
 from requirement_rows import Measure, Row, largest_of
 
 from identknee.checks.subject_checks import box_sample
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 BAR = 1e-9  # mm or deg

@@ -11,7 +11,8 @@ from requirement_rows import Measure, Row, largest_of
 from slow_path import follow_slowly
 
 from identknee.checks.subject_checks import box_sample
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Protocol, TypeGuard, runtime_checkable
+from typing import Any, Protocol, TypeGuard, cast, runtime_checkable
 
 import numpy as np
 
@@ -250,6 +250,32 @@ def with_remeasured_lengths(
     """
     lengths = np.where(changed, setting.lengths_at_start(lines), lines.reference_length)
     return replace(setting, lines=replace(lines, reference_length=lengths))
+
+
+# Between the rig, mounting or partial cut that an effect belongs to and its name.
+OF = "/"
+
+
+def scope_of(effect: Effect) -> str:
+    """The rig, mounting or partial cut that an effect belongs to; empty for the whole knee."""
+    scope, of, _ = effect.name.rpartition(OF)
+    return scope if of else ""
+
+
+def scoped(effect: Effect, scope: str) -> Effect:
+    """The effect as that of one rig or mounting: its name is ``scope/name``."""
+    return renamed(effect, f"{scope}{OF}{effect.name}")
+
+
+def renamed(effect: Effect, name: str) -> Effect:
+    """The effect under another name, which the names of its amplitudes begin with."""
+    if name == effect.name:
+        return effect
+    made: Any = replace(cast(Any, effect), name=name)
+    if not moves_frames(effect):
+        names = tuple(f"{name}.{x.rpartition('.')[2]}" for x in effect.parameters.names)
+        made = replace(made, parameters=replace(effect.parameters, names=names))
+    return cast(Effect, made)
 
 
 def with_fixed_amplitudes(effect: Effect, fixed: Mapping[str, float]) -> Effect:

@@ -22,6 +22,7 @@ References
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from identknee.model.effects.effect import OF
 from identknee.runs.declare import declared, entry
 
 MISSING_LINE, REMOUNTING = "missing_line", "remounting"
@@ -272,6 +273,11 @@ _ALL = (
 FACTS: Mapping[str, EffectFacts] = MappingProxyType({x.name: x for x in _ALL})
 
 
+def facts_of(name: str) -> EffectFacts | None:
+    """The facts about a cause, which may be that of one rig; None for a caller's own effect."""
+    return FACTS.get(name.rpartition(OF)[2])
+
+
 def cause_label(name: str) -> str:
     """The label of a cause in sentences; the name for a caller's own effect.
 
@@ -279,5 +285,9 @@ def cause_label(name: str) -> str:
     --------
     >>> cause_label("rig_compliance_IE"), cause_label("my_effect")
     ('rig compliance in internal rotation', 'my effect')
+    >>> cause_label("robot/flexion_offset")
+    'flexion offset of robot'
     """
-    return FACTS[name].label if name in FACTS else name.replace("_", " ")
+    scope, _, own = name.rpartition(OF)
+    label = FACTS[own].label if own in FACTS else own.replace("_", " ")
+    return f"{label} of {scope}" if scope else label

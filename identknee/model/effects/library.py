@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 
-from identknee.model.effects.effect import Effect, with_fixed_amplitudes
+from identknee.model.effects.effect import OF, Effect, scoped, with_fixed_amplitudes
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import InsertionShift, insertion
 from identknee.model.effects.loads import (
@@ -106,9 +106,10 @@ def effect_named(knee: Knee, name: str) -> Effect:
     ValueError
         If there is none, or the subject lacks what it acts on.
     """
-    if name not in _MAKERS:
+    scope, _, own = name.rpartition(OF)
+    if own not in _MAKERS:
         raise ValueError(f"there is no effect {name!r}; {suggestion(name, _MAKERS)}")
-    return _MAKERS[name](knee)
+    return scoped(_MAKERS[own](knee), scope) if scope else _MAKERS[own](knee)
 
 
 def _make_structure(name: str, knee: Knee) -> Effect:

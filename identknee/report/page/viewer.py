@@ -15,8 +15,9 @@ from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.effects.effect import MechanicalEffect
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import MechanicsInputs
+from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of

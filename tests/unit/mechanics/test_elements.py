@@ -14,7 +14,8 @@ from tolerances import DERIVATIVE
 
 from identknee.mechanics.contact_elements import contact_centres, write_contact_forces
 from identknee.mechanics.distance_field import PRESSURE_MODULUS
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # Depths smaller than this are contact or not as rounding has it [mm].

@@ -20,7 +20,8 @@ from tolerances import CLOSED_FORM, DERIVATIVE
 
 from identknee.mechanics.energy import motion_axes, parameter_columns, place_tibia
 from identknee.mechanics.pose import rotation_matrix
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 Case = tuple[float, Array, Array, Any]

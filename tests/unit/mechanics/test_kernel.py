@@ -26,7 +26,8 @@ from identknee.mechanics.memory import (
     UNCONSTRAINED,
     Segment,
 )
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 
 # The independent minimiser stops at 1e-6 N or at rounding; a margin of 3 N/mm makes that this far.

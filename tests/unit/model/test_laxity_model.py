@@ -17,8 +17,9 @@ from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
 from identknee.model import laxity_model as joint
 from identknee.model.effects.loads import compression
-from identknee.model.laxity_model import OUTCOMES, LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import OUTCOMES, Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee

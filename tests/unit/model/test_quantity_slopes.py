@@ -12,9 +12,10 @@ from identknee.laxity.table import Laxity
 from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import structure_at
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names, structure_values
 from identknee.model.nuisances import contact_rounding
+from identknee.model.prediction import Prediction
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Ligament, Uncertainty

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from small_knee import small_knee, small_protocol
 
-from identknee.model.laxity_model import LaxityModel, tied
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameter_groups import tied
 from identknee.subject.knee import Knee, LigamentGroup
 
 

@@ -14,8 +14,9 @@ from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_points import contact_places
 from identknee.mechanics.distance_field import ContactLaw
 from identknee.model.effects.library import effect_named
-from identknee.model.laxity_model import LaxityModel, Prediction
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
+from identknee.model.prediction import Prediction
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
