@@ -134,9 +134,15 @@ def structures(model: LaxityModel, theta: Array) -> Structures:
     return Structures(
         names=tuple(members),
         member=member,
-        weight=part / part.sum(axis=0),
+        weight=_normed(part),
         stiffness=stiffness,
     )
+
+
+def _normed(part: Array) -> Array:
+    """Columns with the sum 1; NaN where a structure is cut through, which has no strain."""
+    whole = part.sum(axis=0)
+    return np.asarray(part / np.where(whole > 0.0, whole, np.nan))
 
 
 def _settings(model: LaxityModel, theta: Array) -> list[MechanicsInputs]:
@@ -268,7 +274,7 @@ def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
     """Strain of every ligament in every trial [%], shape ``(n, n_ligaments)``.
 
     The mean over its lines, weighted by stiffness, where an effect splits it into bundles; negative
-    where it is slack. NaN in trials that did not converge.
+    where it is slack. NaN where it is cut through, and in trials that did not converge.
     """
     return _of_ligaments(model, prediction)[1]
 
@@ -307,7 +313,7 @@ def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Ar
         return tensions, strains
     setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
     found, owned = _of_lines(model, setting, prediction), setting.owned(m)
-    weight = owned * setting.share[:, None]
+    weight = _normed(owned * setting.share[:, None])
     tensions, strains = found.tensions @ owned, found.strains @ weight / PER_PCT
     for x in (tensions, strains):
         x[~prediction.is_converged] = np.nan

@@ -1,0 +1,255 @@
+"""One knee in several experiments: cuts, rigs and mountings, against models of one experiment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tolerances import CLOSED_FORM
+
+import identknee as ik
+from identknee.laxity.experiment_tables import joined
+from identknee.laxity.experiments import Experiment
+from identknee.model.contact_loads import contact_jacobian, contact_values
+from identknee.model.effects.library import library
+from identknee.model.experiments import causes_in_experiments
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import structure_loads, structure_names, structure_values
+from identknee.model.prediction import Prediction
+from identknee.model.residuals import LaxityResiduals, shared_errors
+from identknee.runs.arrays import Array
+from identknee.subject.knee import Uncertainty
+
+STATED = Uncertainty(
+    insertions_mm=1.0,
+    registration_deg=1.0,
+    registration_mm=1.0,
+    load_axes_deg=2.0,
+    load_gain=0.05,
+    flexion_deg=1.0,
+    toe_region=0.2,
+)
+KNEE = ik.reference_knee()
+TRIALS = ik.load_protocol("table2").select([0, 2, 4, 7])
+STATES = {"intact": "intact", "part": "cut: LCL 40%", "cut": "cut: MCL"}
+# Standard deviations: differences err by rounding of poses over it, and its square on kinks.
+STEP, SHARE = 2e-5, 2e-6
+
+
+def _rigs(name: str) -> Experiment:
+    rig = "hand" if name == "cut" else "robot"
+    return Experiment(name=name, rig=rig, mounting=f"{rig}-{2 if name == 'part' else 1}")
+
+
+def _laxity(states: dict[str, str] = STATES) -> ik.Laxity:
+    """Laxity of one knee in these states, without noise, its trials under another name in each."""
+    tables = []
+    for name, state in states.items():
+        protocol = replace(
+            TRIALS,
+            name=name,
+            trials=tuple(f"{x}_{name}" for x in TRIALS.trials),
+            state=(state,) * TRIALS.n,
+        )
+        model = LaxityModel(knee=KNEE, protocol=protocol)
+        made = model.simulate(model.parameters.start)
+        tables.append((_rigs(name), replace(made, sd=np.full((TRIALS.n, 5), 0.5))))
+    return joined(tables)
+
+
+def _displaced(model: LaxityModel) -> Array:
+    """A theta off the middle of the priors, within the bounds."""
+    p = model.parameters
+    steps = np.random.default_rng(3).uniform(-0.3, 0.3, p.n)
+    moved = np.where(p.is_log, p.start * np.exp(0.3 * steps * p.prior_sd), p.start)
+    theta = np.where(p.is_log, moved, p.start + steps * p.prior_sd)
+    return np.clip(theta, p.lower, p.upper)
+
+
+def test_a_cut_ligament_is_none() -> None:
+    """The same poses as of a knee that never had the ligament, and no tension in it."""
+    protocol = replace(TRIALS, state=("cut: MCL",) * TRIALS.n)
+    model = LaxityModel(knee=KNEE, protocol=protocol)
+    found = model.predict(model.parameters.start)
+    without = KNEE.with_ligaments([x for x in KNEE.ligaments if x.name != "MCL"])
+    alone = LaxityModel(knee=without, protocol=TRIALS)
+    expected = alone.predict(alone.parameters.start)
+    assert found.all_converged
+    np.testing.assert_allclose(found.coordinates, expected.coordinates, atol=CLOSED_FORM)
+    mcl = [i for i, x in enumerate(model.parameters.names) if x.startswith("MCL")]
+    assert found.jacobian is not None
+    assert not found.jacobian[:, :, mcl].any()
+    others = [i for i in range(8) if i not in mcl]
+    assert expected.jacobian is not None
+    np.testing.assert_allclose(
+        found.jacobian[:, :, others], expected.jacobian, rtol=1e-7, atol=1e-9
+    )
+    assert not structure_values(model, found, "MCL")[0].any()
+
+
+def test_a_partial_cut_takes_a_fraction_of_the_stiffness() -> None:
+    protocol = replace(TRIALS, state=("cut: LCL 40%",) * TRIALS.n)
+    model = LaxityModel(knee=KNEE, protocol=protocol)
+    assert model.parameters.names[8:] == ("LCL_40%/cut.fraction",)
+    assert model.parameters.nuisance_names == ("LCL_40%/cut.fraction",)
+    p = model.parameters
+    assert (p.center[8], p.prior_sd[8], p.lower[8], p.upper[8]) == (0.4, 0.2, 0.0, 1.0)
+    whole = LaxityModel(knee=KNEE, protocol=TRIALS)
+    for fraction in (0.0, 0.4, 0.75):
+        theta = np.r_[whole.parameters.start, fraction]
+        weaker = whole.parameters.vector({"LCL.stiffness_kN": (1.0 - fraction) * 6.0})
+        np.testing.assert_allclose(
+            model.predict(theta).coordinates,
+            whole.predict(weaker).coordinates,
+            atol=CLOSED_FORM,
+        )
+
+
+def test_derivatives_by_all_parameters() -> None:
+    """Cuts, two rigs, three mountings and everything uncertain, against differences."""
+    laxity = _laxity()
+    model = LaxityModel(knee=KNEE.with_uncertainty(STATED), protocol=laxity.protocol)
+    names = model.parameters.names
+    for name in ("robot/registration.femur_x_deg", "hand/load_gain.varus_moment"):
+        assert name in names
+    assert sum(x.endswith("/flexion.offset_deg") for x in names) == 3
+    assert "LCL_40%/cut.fraction" in names
+    theta = _displaced(model)
+    found = model.predict(theta)
+    assert found.all_converged
+    slopes = _slopes(model, found)
+    largest = {k: np.nanmax(np.abs(x), axis=(0, 1)) for k, x in slopes.items()}
+    steps = STEP * model.parameters.prior_sd_in_own_units
+    for i, step in enumerate(steps):
+        move = step * np.eye(theta.size)[i]
+        low, high = (
+            _values(model, model.predict(theta + sign * move, derivatives=False))
+            for sign in (-1.0, 1.0)
+        )
+        for kind, slope in slopes.items():
+            differences = (high[kind] - low[kind]) / (2.0 * step)
+            bound = SHARE * (largest[kind][i] + 1e-3 * largest[kind].max())
+            np.testing.assert_allclose(differences, slope[:, :, i], rtol=0, atol=bound)
+
+
+def _values(model: LaxityModel, found: Prediction) -> dict[str, Array]:
+    """Coordinates, tensions, strains and contact forces, a row a trial."""
+    names = structure_names(model)
+    loads = np.array([structure_values(model, found, x) for x in names])
+    return {
+        "coordinates": found.coordinates,
+        "tension": loads[:, 0].T,
+        "strain": loads[:, 1].T,
+        "contact": contact_values(found)[:, :, 0],
+    }
+
+
+def _slopes(model: LaxityModel, found: Prediction) -> dict[str, Array]:
+    """Their derivatives."""
+    loads = structure_loads(model, found)
+    contact = [contact_jacobian(model, found, i)[:, 0] for i in range(len(found.codes))]
+    assert found.jacobian is not None
+    return {
+        "coordinates": found.jacobian,
+        "tension": loads.tension_jacobian,
+        "strain": loads.strain_jacobian,
+        "contact": np.array(contact),
+    }
+
+
+def test_each_rig_and_mounting_has_errors_of_its_own() -> None:
+    laxity = _laxity()
+    model = LaxityModel(knee=KNEE.with_uncertainty(STATED), protocol=laxity.protocol)
+    found = model.predict(model.parameters.start)
+    assert found.jacobian is not None
+    rigs = np.repeat(["robot", "robot", "hand"], TRIALS.n)
+    mountings = np.repeat(["robot-1", "robot-2", "hand-1"], TRIALS.n)
+    for i, name in enumerate(model.parameters.names):
+        scope = name.rpartition("/")[0]
+        moved = np.abs(found.jacobian[:, :, i]).max(axis=1) > 0.0
+        if name.startswith("LCL_40%"):
+            assert set(np.flatnonzero(moved)) <= set(range(TRIALS.n, 2 * TRIALS.n))
+        elif scope:
+            own = rigs if scope in ("robot", "hand") else mountings
+            assert not moved[own != scope].any()
+            # Some trials have no load of the kind.
+            assert moved[own == scope].any() or "load_" in name
+
+
+def test_two_tables_are_one_with_both_rows() -> None:
+    """Same rig and mounting: residuals, Jacobian and fit of the rows in one table."""
+    table = _laxity({"a": "intact", "b": "intact"})
+    one = replace(
+        table, protocol=replace(table.protocol, experiment=None, experiments=(), state=None)
+    )
+    alike = [Experiment(name=x, rig="rig", mounting="rig-1") for x in "ab"]
+    two = replace(table, protocol=replace(table.protocol, experiments=tuple(alike)))
+    knee = KNEE.with_uncertainty(replace(STATED, zero_mm=0.2))
+    values = []
+    for laxity in (one, two):
+        model = LaxityModel(knee=knee, protocol=laxity.protocol)
+        assert not model.parts
+        theta = _displaced(model)
+        shared = shared_errors(model, theta)
+        residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise", shared=shared)
+        values.append((residuals.residuals(theta), residuals.jacobian(theta)))
+    for x, y in zip(*values, strict=True):
+        np.testing.assert_allclose(x, y, atol=1e-12)
+    fits = [ik.fit(KNEE, x, more_starts=0) for x in (one, two)]
+    np.testing.assert_allclose(fits[0].search.theta, fits[1].search.theta, atol=1e-6)
+
+
+def test_zeros_are_of_each_mounting() -> None:
+    laxity = _laxity()
+    knee = KNEE.with_uncertainty(Uncertainty(zero_mm=1.0))
+    model = LaxityModel(knee=knee, protocol=laxity.protocol)
+    columns = shared_errors(model, model.parameters.start)
+    angles = len(np.unique(TRIALS.flexion_deg))
+    assert columns.shape == (laxity.n, 5, 3 * 3 * angles)
+    touched = np.abs(columns).max(axis=1) > 0.0
+    mounting = laxity.protocol.mounting
+    for column in touched.T:
+        assert len(set(mounting[column])) == 1
+
+
+def test_a_fit_to_states_finds_the_knee() -> None:
+    """From another start, without noise; the cut states alone bear on what they leave."""
+    laxity = _laxity()
+    found = ik.fit(
+        KNEE, laxity, start={"ACL.stiffness_kN": 8.0, "MCL.stiffness_kN": 9.5}, more_starts=0
+    )
+    np.testing.assert_allclose(
+        found.search.theta[:8], LaxityModel(knee=KNEE, protocol=TRIALS).parameters.start, atol=1e-3
+    )
+    assert found.search.theta[8] == pytest.approx(0.4, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("state", "named"), [("cut: XYZ", "XYZ"), ("cut: ACL, PCL, LCL, MCL", "every ligament")]
+)
+def test_cuts_that_no_knee_has_are_refused(state: str, named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        LaxityModel(knee=KNEE, protocol=replace(TRIALS, state=(state,) * TRIALS.n))
+
+
+def test_a_group_is_cut_with_all_its_bundles() -> None:
+    knee = ik.example("s192803_bundles")
+    group = knee.groups[0]
+    protocol = ik.example_laxity("s192803").protocol.select([0])
+    cut = replace(protocol, state=(f"cut: {group.name}",))
+    model = LaxityModel(knee=knee, protocol=cut)
+    setting = model.parts[0].model.setting(model.parameters.start)
+    gone = np.array([x.name in group.members for x in knee.ligaments])
+    np.testing.assert_array_equal(setting.stiffness == 0.0, gone)
+
+
+def test_causes_of_a_rig_are_tried_for_each_rig() -> None:
+    causes = library(KNEE)
+    several = causes_in_experiments(causes, _laxity().protocol)
+    names = [x.name for x in several]
+    assert "robot/moment_gain_IE" in names
+    assert "hand/femur_frame" in names
+    assert "moment_gain_IE" not in names
+    assert "deep_mcl" in names
+    gain = next(x for x in several if x.name == "hand/moment_gain_IE")
+    assert gain.parameters.lower[0] < -0.6
+    assert causes_in_experiments(causes, TRIALS) == tuple(causes)
