@@ -21,6 +21,7 @@ from identknee.model.effects.effect import (
     renamed,
     scope_of,
     scoped,
+    with_fixed_amplitudes,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.nuisances import stored_effects
@@ -76,14 +77,20 @@ def effects_of_part(
     own
         Those of the whole knee, of the rig, of the mounting and of the cuts.
     acting
-        The same under plain names, and the cuts through whole ligaments.
+        The same under plain names, and the cuts that are none of them at their stated fraction.
     """
     cuts = cuts_of(state)
     scopes = {"", experiment.rig, experiment.mounting, *map(_scope, cuts)}
     own = [x for x in effects if scope_of(x) in scopes]
     made = set(map(scope_of, own))
-    whole = [cut(knee, x) for x in cuts if _scope(x) not in made]
-    return own, tuple(renamed(x, _plain_name(x)) for x in (*own, *whole))
+    stated = [_as_stated(cut(knee, x)) for x in cuts if _scope(x) not in made]
+    return own, tuple(renamed(x, _plain_name(x)) for x in (*own, *stated))
+
+
+def _as_stated(effect: Effect) -> Effect:
+    parameters = effect.parameters
+    values = dict(zip(parameters.names, parameters.center.tolist(), strict=True))
+    return with_fixed_amplitudes(effect, values) if values else effect
 
 
 def _plain_name(effect: Effect) -> str:

@@ -65,6 +65,7 @@ from identknee.laxity.table import (
 )
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
+from identknee.model.effects.effect import scope_of
 from identknee.model.effects.library import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
@@ -559,12 +560,14 @@ def fit(
 def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
     """The subject of a fit with all that was found: parameters, effects, errors and poses.
 
-    Ligaments keep the values that the subject came with, on which priors are centred.
+    Ligaments keep the values that the subject came with, on which priors are centred. Errors of a
+    rig among several, and cuts, are none of the knee's.
     """
     knee, parameters, theta = model.knee, model.parameters, prediction.theta
     choices = [
         choice_of(knee, x, theta[[parameters.index(name) for name in x.parameters.names]])
         for x in model.effects
+        if not (scope_of(x) and not x.parameters.is_of_interest.any())
     ]
     return replace(
         knee.with_effects(choices),
