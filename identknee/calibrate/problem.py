@@ -139,6 +139,43 @@ class BoundedProblem:
 
 
 @declared
+class SumOfTerms:
+    """A problem whose deviance is the sum of those of several, in the same parameters.
+
+    Attributes
+    ----------
+    terms
+        The problems by what speaks in them, in the order of their residuals.
+    sizes
+        How many residuals each has.
+    """
+
+    terms: Mapping[str, Problem]
+    sizes: tuple[int, ...]
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of every term."""
+        return next(iter(self.terms.values())).parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals of all terms, shape ``(m,)``; all infinite where one has no prediction."""
+        found = np.concatenate([x.residuals(theta) for x in self.terms.values()])
+        return found if np.isfinite(found).all() else np.full(found.shape, np.inf)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(m, n)``."""
+        return np.vstack([x.jacobian(theta) for x in self.terms.values()])
+
+
+def innermost(problem: Problem) -> Problem:
+    """The problem without priors, bounds and fixed parameters."""
+    while not isinstance(problem, SumOfTerms) and hasattr(problem, "problem"):
+        problem = problem.problem
+    return problem
+
+
+@declared
 class WhitenedResiduals:
     """A problem whose residuals are divided by the standard deviation of their noise."""
 
@@ -245,13 +282,16 @@ TABLE_TERM, LIGAMENT_TERM, NUISANCE_TERM = (
     "priors of ligament parameters",
     "priors of nuisance parameters",
 )
+FORCE_TERM = "measured forces"
 
 
 @declared
 class EvidenceTerm:
     """A term of the deviance: what speaks about the knee, and how much of the misfit it has."""
 
-    name: str = entry("Laxity table, priors of ligament parameters, or priors of nuisances")
+    name: str = entry(
+        "Laxity table, measured forces, priors of ligament parameters or of nuisances"
+    )
     n: int = entry("Its values", unit="1")
     deviance: float = entry("Its sum of squared residuals", unit="1")
     share: float = entry("Its share of the deviance", unit="1")
@@ -268,8 +308,12 @@ def evidence_terms(problem: Problem, theta: Array) -> tuple[EvidenceTerm, ...]:
     asked = np.zeros(0, bool)
     if isinstance(problem, ProblemWithPriors):
         asked = problem.parameters.is_of_interest[problem.places]
-    table, priors = np.split(residuals, [residuals.size - asked.size])
-    parts = {TABLE_TERM: table, LIGAMENT_TERM: priors[asked], NUISANCE_TERM: priors[~asked]}
+    data, priors = np.split(residuals, [residuals.size - asked.size])
+    parts = {TABLE_TERM: data}
+    if isinstance(whole_data := innermost(problem), SumOfTerms):
+        ends = np.cumsum(whole_data.sizes)[:-1]
+        parts = dict(zip(whole_data.terms, np.split(data, ends), strict=True))
+    parts |= {LIGAMENT_TERM: priors[asked], NUISANCE_TERM: priors[~asked]}
     whole = sum_of_squares(residuals) or 1.0
     return tuple(
         EvidenceTerm(name=name, n=x.size, deviance=(part := sum_of_squares(x)), share=part / whole)

@@ -68,10 +68,10 @@ def trials_asked(
     if (is_both := is_kept & is_named).any():
         name = trials[int(np.flatnonzero(is_both)[0])]
         raise ValueError(f"{name} is named in --keep and in --leave-out; name it in one of them")
-    without = _blank(laxity, is_named)
+    without = laxity.without(is_named)
     rows = [x for x in _off_their_course(without) if not is_kept[x.trial]]
     is_off = np.isin(np.arange(laxity.n), [x.trial for x in rows])
-    left = _blank(without, is_off)
+    left = without.without(is_off)
     if laxity.is_measured.any() and not left.is_measured.any():
         raise ValueError("--leave-out leaves no measured trial; leave out fewer")
     return TrialsAsked(
@@ -122,10 +122,3 @@ def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:
             )
         found |= own
     return found
-
-
-def _blank(laxity: Laxity, rows: BoolArray) -> Laxity:
-    if not rows.any():
-        return laxity
-    blank = np.where(rows[:, None], np.nan, laxity.coordinates)
-    return replace(laxity, coordinates=blank)

@@ -12,23 +12,27 @@ import scipy
 
 from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
-    BoundedProblem,
+    FORCE_TERM,
+    TABLE_TERM,
     Problem,
+    SumOfTerms,
+    innermost,
     with_bounds,
     with_nuisance_priors,
-    without_priors,
 )
 from identknee.identify.optimum import REACH, sobol_around
 from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
+from identknee.model.force_residuals import ForceResiduals
 from identknee.model.held_trials import HeldTrials
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
@@ -154,12 +158,12 @@ class TrialSearch:
 
     def with_equilibrium(self, theta: Array) -> Laxity:
         """The data, cells of trials without equilibrium blank."""
-        return _with_blank_trials(self.laxity, ~self.has_equilibrium(theta))
+        return self.laxity.without(~self.has_equilibrium(theta))
 
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        return with_nuisance_priors(with_bounds(residuals, self.bounds))
+        return with_nuisance_priors(with_bounds(with_forces(residuals), self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
         """The same; a trial without equilibrium is held near its measured pose."""
@@ -229,17 +233,38 @@ def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0
     return np.clip(starts, parameters.lower, parameters.upper)
 
 
-def defined_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
+def defined_everywhere(residuals: LaxityResiduals) -> Problem:
     """The residuals, also where trials have no equilibrium: they are held near measured poses."""
     held = HeldTrials(model=residuals.model, laxity=residuals.laxity)
-    return replace(residuals, held=held)
+    return with_forces(replace(residuals, held=held))
+
+
+def with_forces(residuals: LaxityResiduals) -> Problem:
+    """The residuals of a table, and those of the forces that were measured in it.
+
+    Raises
+    ------
+    ValueError
+        If there are forces, and the noise of the coordinates is not stated.
+    """
+    laxity = residuals.laxity
+    if laxity.forces is None or not laxity.forces.is_measured.any():
+        return residuals
+    if residuals.weighting != "noise":
+        raise ValueRefused(
+            "measured forces count beside coordinates only where the noise of both is known",
+            "state that of the coordinates with --noise, for example --noise 0.5mm,0.5deg",
+        )
+    everywhere = residuals.held is not None
+    forces = ForceResiduals(model=residuals.model, forces=laxity.forces, is_everywhere=everywhere)
+    n = int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)
+    return SumOfTerms(terms={TABLE_TERM: residuals, FORCE_TERM: forces}, sizes=(n, forces.n))
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:
-    """The residuals of the data of a problem that `TrialSearch` made."""
-    inner = without_priors(problem)
-    while isinstance(inner, BoundedProblem):
-        inner = inner.problem
+    """The residuals of the table of a problem that `TrialSearch` made."""
+    inner = innermost(problem)
+    inner = inner.terms[TABLE_TERM] if isinstance(inner, SumOfTerms) else inner
     if not isinstance(inner, LaxityResiduals):
         raise TypeError(f"{type(inner).__name__} has no residuals of a table")
     return inner
@@ -302,12 +327,6 @@ def knee_with_equilibria(
     return replace(knee, ligaments=ligaments, fitted=dict(errors)), replace(
         used, sentences=(*said, *used.sentences, centred)
     )
-
-
-def _with_blank_trials(laxity: Laxity, lost: BoolArray) -> Laxity:
-    if not lost.any():
-        return laxity
-    return replace(laxity, coordinates=np.where(lost[:, None], np.nan, laxity.coordinates))
 
 
 def trial_names(laxity: Laxity) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from identknee.laxity.data_frame import Frame
 from identknee.laxity.experiments import INTACT, Experiment, cuts_of, state_words
+from identknee.laxity.forces import joined_forces
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
@@ -207,6 +208,7 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
         phase=tuple(p for x in laxities for p in x.phase or ("",) * x.n) if has_phase else None,
         comments=tuple(dict.fromkeys(c for x in laxities for c in x.comments)),
         zero=zero,
+        forces=joined_forces([x.forces for x in laxities], [x.n for x in laxities]),
         findings=tuple(f for x in laxities for f in x.findings),
     )
 

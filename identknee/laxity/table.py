@@ -12,6 +12,13 @@ from numpy.typing import ArrayLike
 from identknee.laxity.angles import coordinate_turns, flexion_turns, is_from_straight
 from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.experiments import cuts_of, state_words
+from identknee.laxity.forces import (
+    SD,
+    MeasuredForces,
+    column_of,
+    force_columns,
+    quantity_of,
+)
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -137,6 +144,11 @@ class Laxity:
         "opposite load, and the name of a trial where they are changes from that one",
         default="absolute",
     )
+    forces: MeasuredForces | None = entry(
+        "Forces that were measured beside the pose; None without any",
+        group="measured_forces",
+        default=None,
+    )
     findings: tuple[Finding, ...] = entry(
         "Findings: what reading a file did to its numbers; answers have them among their own",
         is_in_json=False,
@@ -171,6 +183,22 @@ class Laxity:
         """Whether a coordinate has a value, shape ``(n, 5)``."""
         return ~np.isnan(self.coordinates)
 
+    @property
+    def n_values(self) -> int:
+        """How many coordinates and forces were measured."""
+        n = 0 if self.forces is None else int(self.forces.is_measured.sum())
+        return int(self.is_measured.sum()) + n
+
+    def without(self, lost: BoolArray) -> "Laxity":
+        """The same with the trials `lost` (n,) blank."""
+        if not lost.any():
+            return self
+        return replace(
+            self,
+            coordinates=np.where(lost[:, None], np.nan, self.coordinates),
+            forces=None if self.forces is None else self.forces.without(lost),
+        )
+
     def select(self, indices: ArrayLike) -> "Laxity":
         """The trials at `indices` (whole numbers, or a mask of n truth values), in that order.
 
@@ -189,6 +217,7 @@ class Laxity:
             phase=None if self.phase is None else tuple(self.phase[i] for i in chosen),
             comments=self.comments,
             zero=self.zero,
+            forces=None if self.forces is None else self.forces.select(chosen),
             findings=self.findings,
         )
 
@@ -202,7 +231,8 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
     Columns are ``trial``, ``flexion_deg``, any of `LOADS` (zero where missing) or of the opposite
     ones in `OPPOSITES`, such as ``valgus_moment_Nm``, any of `COORDINATES`, ``sd_`` and the
     name of a coordinate, ``order``, ``phase`` and ``state`` of the knee: ``intact``, ``cut: ACL``,
-    ``cut: ACL, dMCL`` or, for half of it, ``cut: ACL 50%``. A blank coordinate was not measured.
+    ``cut: ACL, dMCL`` or, for half of it, ``cut: ACL 50%``; and forces that were measured, such as
+    ``ACL_tension_N`` or ``contact_medial_N``, each with its ``sd_``. Blanks were not measured.
     Cells are separated by commas; where the header has semicolons or tabs instead, by those, and
     then numbers may have decimal commas. Comment lines start with ``#``; some state something:
     ``# within_trial_correlation: 0.3``, ``# zero:`` with ``unloaded``, ``opposite`` or the name
@@ -326,6 +356,10 @@ def write_laxity(
         stated = [j for j in range(len(COORDINATES)) if not np.isnan(laxity.sd[:, j]).all()]
         header += [_SD[j] for j in stated]
         blocks.append(laxity.sd[:, stated])
+    if laxity.forces is not None:
+        columns = [column_of(x) for x in laxity.forces.names]
+        header += [*columns, *(f"{SD}{x}" for x in columns)]
+        blocks += [laxity.forces.values, laxity.forces.sd]
     rows = [
         [trial, *("" if math.isnan(x) else repr(x) for x in values)]
         for trial, values in zip(protocol.trials, np.hstack(blocks).tolist(), strict=True)
@@ -341,8 +375,10 @@ def write_laxity(
 
 
 def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
-    """Names of trials, their numbers, order and phase, from a file with one row a trial."""
-    file.check_columns((*_COLUMNS, *OPPOSITES), ("trial", FLEXION))
+    """Names of trials, their numbers, and what else is known of them, from one row a trial."""
+    forces = force_columns(file.columns)
+    sds = tuple(f"{SD}{x}" for x in forces)
+    file.check_columns((*_COLUMNS, *OPPOSITES, *forces, *sds), ("trial", FLEXION, *sds))
     if is_measured:
         _check_coordinates(file)
     names: dict[str, int] = {}
@@ -350,6 +386,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
     order: list[int] = []
     phase: list[str] = []
     states: list[str] = []
+    measured: list[tuple[list[float], list[float]]] = []
     rows = list(file.rows())
     _turn_angles(file, rows)
     for row in rows:
@@ -364,6 +401,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
             )
         names[name] = row.line
         numbers.append((*_setting(row), *_measured(row)))
+        measured.append(_forces(row, forces))
         if "order" in file.columns:
             value = row.required("order")
             if value != int(value) or abs(value) > LARGEST_ORDER:
@@ -381,8 +419,33 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
         raise InputError(
             file.path, "", "there is no trial below the header", "Add one row per trial."
         )
-    extra = {"order": np.array(order) if order else None, "phase": tuple(phase) or None}
+    extra: dict[str, Any] = {
+        "order": np.array(order) if order else None,
+        "phase": tuple(phase) or None,
+    }
+    if forces:
+        values, sd = np.array(measured).transpose(1, 0, 2)
+        own = tuple(map(quantity_of, forces))
+        extra["forces"] = MeasuredForces(names=own, values=values, sd=sd)
     return tuple(names), np.array(numbers), extra | {"state": tuple(states) or None}
+
+
+def _forces(row: TableRow, columns: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Forces of a trial and their standard deviations; NaN where blank."""
+    values, spreads = [], []
+    for column in columns:
+        value = row.number(column, "this force was not measured")
+        spread = row.number(f"{SD}{column}", "its force is blank too")
+        if value is not None and value < 0.0:
+            row.refuse(
+                column, f"the force is {value:g} N", "Give how hard it pulls or presses, 0 or more."
+            )
+        if value is not None and not (spread is not None and spread > 0.0):
+            why = f"{column} is measured and has no standard deviation greater than 0"
+            row.refuse(f"{SD}{column}", why, "Give it in N.")
+        values.append(math.nan if value is None else value)
+        spreads.append(math.nan if spread is None else spread)
+    return values, spreads
 
 
 def _state(row: TableRow) -> str:

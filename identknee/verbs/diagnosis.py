@@ -604,7 +604,7 @@ def diagnose_data(
     **_: Unpack[DataOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
-    laxity = with_noise(data, noise)
+    laxity = replace(with_noise(data, noise), forces=None)
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
@@ -645,6 +645,7 @@ def diagnose_data(
                 *lost,
                 *_contradicted(run, kept, noise, compared, found),
                 *compared.row_findings(found),
+                *_force_findings(data),
                 *implausible_explanation(found),
                 *answer.findings,
                 *advice_findings(found),
@@ -670,6 +671,13 @@ def diagnose_data(
                 run.out / ADVICE,
             )
     return answer
+
+
+def _force_findings(data: Laxity) -> tuple[Finding, ...]:
+    if data.forces is None:
+        return ()
+    names = data.forces.names
+    return (finding("forces-not-used", "data", {"forces": ", ".join(names)}),)
 
 
 def _contradicted(

@@ -48,6 +48,7 @@ from identknee.checks.usable_trials import (
     starts_elsewhere,
     table_model,
     unfitted_findings,
+    with_forces,
 )
 from identknee.identify.optimum import (
     N_STARTS,
@@ -83,6 +84,7 @@ from identknee.runs.declare import (
     derived,
     entry,
 )
+from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
@@ -499,6 +501,9 @@ def fit(
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
+    elif measured.forces is not None and measured.sd is not None:
+        # Forces and coordinates count together in units of their noise alone.
+        weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
     trials = TrialSearch(
@@ -510,6 +515,10 @@ def fit(
     is_with_priors = has_priors("fit", priors)
     plain = partial(search, method=method, seed=seed, budget=budget, priors=is_with_priors)
     is_robust = likelihood == "student"
+    if is_robust and laxity.forces is not None:
+        raise ValueRefused(
+            "heavy tails are of coordinates alone", "leave out the columns of forces"
+        )
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
@@ -593,7 +602,7 @@ def _findings(
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-        residuals = weighted.residuals(found.theta)
+        residuals = with_forces(weighted).residuals(found.theta)
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
@@ -607,7 +616,7 @@ def _findings(
         held=held,
         misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
     )
-    few = too_few_findings(int(laxity.is_measured.sum()), n_free)
+    few = too_few_findings(laxity.n_values, n_free)
     starts = start_findings(
         np.array([x.theta for x in fits]),
         np.array([x.deviance for x in fits]) / _scale(trials, laxity, found),

@@ -39,6 +39,7 @@ from identknee.checks.usable_trials import (
     starts_elsewhere,
     table_model,
     trial_names,
+    with_forces,
 )
 from identknee.identify.optimum import (
     N_STARTS,
@@ -128,7 +129,7 @@ class Identification:
         terms = evidence_terms(self.problem, theta)
         deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
         if self.degrees_of_freedom is None:
-            n = int(self.laxity.is_measured.sum())
+            n = self.laxity.n_values
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
         else:
             # That the noise was estimated is among the assumptions.
@@ -158,7 +159,7 @@ class Identification:
         if self.degrees_of_freedom is not None:
             return ()
         asked = int(self.problem.parameters.is_of_interest.sum())
-        square, n = misfit_square(self.problem, theta), int(self.laxity.is_measured.sum())
+        square, n = misfit_square(self.problem, theta), self.laxity.n_values
         return conditional_findings(square, n, asked, threshold=threshold)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
@@ -248,13 +249,13 @@ def identification(
                 "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
                 "--noise, for example --noise 0.5mm,0.5deg"
             )
-        first = fit(with_nuisance_priors(residuals), theta)
+        first = fit(with_nuisance_priors(with_forces(residuals)), theta)
         if first.outcome is Outcome.START_FAILED:
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
             )
         residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
-    part = restricted(with_bounds(residuals, limits), fixed or (), theta)
+    part = restricted(with_bounds(with_forces(residuals), limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
@@ -393,8 +394,8 @@ def _with_estimated_noise(
 
 
 def _data_findings(laxity: Laxity, n_parameters: int) -> list[str]:
-    n = int(laxity.is_measured.sum())
-    if n == 0:
+    n = laxity.n_values
+    if not laxity.is_measured.any():
         raise ValueError("no coordinate was measured in any trial; fill in at least one column")
     if n >= n_parameters:
         return []

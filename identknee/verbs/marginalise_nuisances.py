@@ -10,6 +10,7 @@ from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
 from identknee.runs.arrays import Array
+from identknee.runs.errors import ValueRefused
 from identknee.runs.executors import Executor
 from identknee.verbs.identification import Identification, best_fits
 
@@ -55,6 +56,12 @@ def marginalise_nuisances(
         raise ValueError(
             "stated errors can be marginalised only if the noise is stated; add --noise, for "
             "example --noise 0.5mm,0.5deg, or treat the geometry as exact with --uncertain none"
+        )
+    if setup.laxity.forces is not None:
+        raise ValueRefused(
+            "stated errors are marginalised for coordinates, and the table has forces",
+            "leave out the columns of forces, or use profile or sample, which keep the errors as "
+            "parameters",
         )
     fits = best_fits(setup, seed=seed, executor=executor)
     return _about(setup, fits[0].theta), fits

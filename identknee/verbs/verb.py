@@ -346,8 +346,11 @@ def _file_of(value: Any) -> Path | None:
 
 def laxity_digest(laxity: Laxity) -> str:
     """SHA-256 of all numbers of a laxity table."""
-    numbers = (laxity.coordinates, laxity.sd, laxity.order)
-    words = (laxity.zero, laxity.within_trial_correlation, laxity.phase)
+    numbers = [laxity.coordinates, laxity.sd, laxity.order]
+    words: tuple[Any, ...] = (laxity.zero, laxity.within_trial_correlation, laxity.phase)
+    if laxity.forces is not None:
+        words = (*words, laxity.forces.names)
+        numbers += [laxity.forces.values, laxity.forces.sd]
     parts = [b"" if x is None else x.tobytes() for x in numbers]
     return digest(
         b"".join([_protocol_digest(laxity.protocol).encode(), repr(words).encode(), *parts])
