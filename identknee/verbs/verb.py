@@ -370,7 +370,7 @@ def _setting(value: Any) -> Any:
         return f"a {type(value).__name__} in memory"
     if isinstance(value, _NAMED):
         return value.name
-    if isinstance(value, list | tuple) and any(isinstance(x, _NAMED) for x in value):
+    if isinstance(value, list | tuple) and any(isinstance(x, (*_NAMED, Laxity)) for x in value):
         return [_setting(x) for x in value]
     return "a table in memory" if isinstance(value, Laxity) else value
 
