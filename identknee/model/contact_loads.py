@@ -1,5 +1,7 @@
 """Contact force of the medial and the lateral compartment and its centre, with derivatives."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identknee.mechanics.compartment_loads import CompartmentLoads, compartment_loads
@@ -29,11 +31,11 @@ def contact_values(prediction: Prediction) -> Array:
     return values
 
 
-def contact_jacobian(model: LaxityModel, prediction: Prediction, trial: int) -> Array:
-    """Exact derivatives of `contact_values` by theta in one trial, shape ``(2, 4, p)``.
+def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequence[int]) -> Array:
+    """Exact derivatives of `contact_values` by theta in some trials, shape ``(k, 2, 4, p)``.
 
     Parameters of ligaments change the contact by moving the tibia alone; the flexion, measured
-    frames and the contact law also at a fixed pose. NaN if the trial did not converge.
+    frames and the contact law also at a fixed pose. NaN in trials that did not converge.
 
     Raises
     ------
@@ -43,32 +45,35 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trial: int) -> 
     if prediction.pose_jacobian is None:
         raise ValueError("contact has derivatives only where the prediction has them")
     theta = prediction.theta
-    if not prediction.is_converged[trial]:
-        return np.full((len(COMPARTMENTS), len(KINDS), theta.size), np.nan)
+    jacobian = np.full((len(trials), len(COMPARTMENTS), len(KINDS), theta.size), np.nan)
     if model.parts:
-        part = next(x for x in model.parts if trial in x.trials)
-        place = int(np.flatnonzero(part.trials == trial)[0])
-        whole = np.zeros((len(COMPARTMENTS), len(KINDS), theta.size))
-        own = part.prediction(prediction)
-        whole[:, :, part.columns] = contact_jacobian(part.model, own, place)
-        return whole
-    settings = model.extension.changes(
-        model.setting(theta, is_changed=False), model.amplitudes(theta)
-    )
-    node, pose = model.paths.trial_node[trial], prediction.poses[trial]
+        for part in model.parts:
+            place = {int(x): i for i, x in enumerate(part.trials)}
+            rows = [i for i, x in enumerate(trials) if x in place]
+            if rows:
+                own = [place[trials[i]] for i in rows]
+                found = contact_jacobian(part.model, part.prediction(prediction), own)
+                part.spread(found, jacobian, np.array(rows))
+        return jacobian
+    amplitudes = model.amplitudes(theta)
+    settings = model.extension.changes(model.setting(theta, is_changed=False), amplitudes)
     contact, field = model.surfaces(settings[-1])
-    flexion, places = float(settings[-1].flexion[node]), model.joint.contact.points
-    found = compartment_loads(contact, field, flexion, pose, places)
-    jacobian: Array = found.by_pose @ prediction.pose_jacobian[trial]
-    pairs = model.extension.contact_pairs(settings, model.amplitudes(theta))
-    for k, step, low, high in pairs:
-        (before, less), (after, more) = (
-            _moved(model, found, x, int(node), pose) for x in (low, high)
-        )
-        changes = found.derivatives(
-            (after - before)[:, :, None] / step, (more - less)[:, None] / step
-        )
-        jacobian[:, :, model.n_ligament_parameters + k] += changes[:, :, 0]
+    pairs = list(model.extension.contact_pairs(settings, amplitudes))
+    for row, trial in enumerate(trials):
+        if not prediction.is_converged[trial]:
+            continue
+        node, pose = int(model.paths.trial_node[trial]), prediction.poses[trial]
+        flexion = float(settings[-1].flexion[node])
+        loads = compartment_loads(contact, field, flexion, pose, model.joint.contact.points)
+        jacobian[row] = loads.by_pose @ prediction.pose_jacobian[trial]
+        for k, step, low, high in pairs:
+            (before, less), (after, more) = (
+                _moved(model, loads, x, node, pose) for x in (low, high)
+            )
+            changes = loads.derivatives(
+                (after - before)[:, :, None] / step, (more - less)[:, None] / step
+            )
+            jacobian[row, :, :, model.n_ligament_parameters + k] += changes[:, :, 0]
     return jacobian
 
 

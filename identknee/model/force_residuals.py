@@ -6,9 +6,11 @@ import numpy as np
 
 from identknee.laxity.experiments import cuts_of
 from identknee.laxity.forces import MeasuredForces
+from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import structure_loads, structure_values
 from identknee.model.parameters import Parameters
-from identknee.model.quantities import AT, PredictedQuantity, quantity_named
+from identknee.model.quantities import CONTACT, quantity_place
 from identknee.runs.arrays import Array, short_repr
 from identknee.runs.errors import ValueRefused
 
@@ -36,13 +38,13 @@ class ForceResiduals:
     model: LaxityModel
     forces: MeasuredForces
     is_everywhere: bool = False
-    _quantities: tuple[tuple[int, PredictedQuantity], ...] = field(init=False, repr=False)
+    _places: tuple[tuple[str, int], ...] = field(init=False, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
+        """Check that the model has what was measured."""
         protocol, forces = self.model.protocol, self.forces
-        quantities = []
         for trial, k in np.argwhere(forces.is_measured).tolist():
             owner = forces.names[k].rpartition(".")[0]
             cuts = cuts_of("" if protocol.state is None else protocol.state[trial])
@@ -52,9 +54,8 @@ class ForceResiduals:
                     "cut",
                     "leave that cell blank",
                 )
-            name = f"{forces.names[k]}{AT}{protocol.trials[trial]}"
-            quantities.append((trial, quantity_named(self.model, name)))
-        object.__setattr__(self, "_quantities", tuple(quantities))
+        places = tuple(quantity_place(self.model, x) for x in forces.names)
+        object.__setattr__(self, "_places", places)
 
     @property
     def parameters(self) -> Parameters:
@@ -64,19 +65,40 @@ class ForceResiduals:
     @property
     def n(self) -> int:
         """How many forces were measured."""
-        return len(self._quantities)
+        return int(self.forces.is_measured.sum())
 
     def residuals(self, theta: Array) -> Array:
         """Residuals, shape ``(n,)``."""
-        found = np.array([x.evaluate(theta)[0] for _, x in self._quantities])
-        left = (found - self.forces.values[self.forces.is_measured]) / self._sd
+        prediction = self.model.predict_once(theta)
+        contact = contact_values(prediction)[:, :, 0]
+        columns = [
+            contact[:, i]
+            if kind == CONTACT
+            else structure_values(self.model, prediction, name.rpartition(".")[0])[0]
+            for name, (kind, i) in zip(self.forces.names, self._places, strict=True)
+        ]
+        measured = self.forces.is_measured
+        left = (np.stack(columns, axis=1) - self.forces.values)[measured] / self._sd
         return np.where(np.isnan(left), 0.0 if self.is_everywhere else np.inf, left)
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
-        slopes = np.array([x.evaluate(theta)[1] for _, x in self._quantities])
-        slopes = slopes.reshape(self.n, self.parameters.n) / self._sd[:, None]
-        return np.nan_to_num(slopes) if self.is_everywhere else slopes
+        prediction, measured = self.model.predict_once(theta), self.forces.is_measured
+        slopes = np.zeros((*measured.shape, self.parameters.n))
+        kinds = [kind for kind, _ in self._places]
+        if CONTACT in kinds:
+            of_contact = measured[:, [x == CONTACT for x in kinds]].any(axis=1)
+            trials = np.flatnonzero(of_contact).tolist()
+            contact = contact_jacobian(self.model, prediction, trials)
+        if set(kinds) != {CONTACT}:
+            tensions = structure_loads(self.model, prediction).tension_jacobian
+        for k, (kind, i) in enumerate(self._places):
+            if kind == CONTACT:
+                slopes[trials, k] = contact[:, i, 0]
+            else:
+                slopes[:, k] = tensions[:, i]
+        rows = slopes[measured] / self._sd[:, None]
+        return np.nan_to_num(rows) if self.is_everywhere else rows
 
     @property
     def _sd(self) -> Array:

@@ -223,19 +223,21 @@ class Part:
                 values[name] = values[name][:, :, self.columns]
         return replace(whole, theta=whole.theta[self.columns], **values)
 
-    def spread(self, values: Array, into: Array) -> None:
-        """Put values of its trials, and derivatives by its parameters, among those of all.
+    def spread(self, values: Array, into: Array, rows: IntArray | None = None) -> None:
+        """Put derivatives by its parameters among those by all.
 
         Parameters
         ----------
         values, into
-            Of its trials and of all, shape ``(k, ..., p)`` and ``(n, ..., p)``.
+            Of k of its trials and of all, shape ``(k, ..., p)`` and ``(n, ..., p)``.
+        rows
+            Rows that they go to; those of its trials if None.
         """
         place = np.zeros((*values.shape[:-1], into.shape[-1]))
         # What has no derivatives by its own parameters has none by others.
         place[np.isnan(values).all(axis=-1)] = np.nan
         place[..., self.columns] = values
-        into[self.trials] = place
+        into[self.trials if rows is None else rows] = place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -126,6 +126,18 @@ class PredictedQuantity:
 COORDINATE = "coordinate"
 
 
+def quantity_place(model: LaxityModel, what: str) -> tuple[str, int]:
+    """Kind of a predicted quantity, and its place among the structures or the compartments.
+
+    Raises
+    ------
+    ValueError
+        If the model has no such quantity.
+    """
+    kind, place, _ = _place(model, what)
+    return kind, place
+
+
 def _place(model: LaxityModel, what: str) -> tuple[str, int, int]:
     """Kind of a quantity, and where among those of its kind it stands."""
     owner, dot, kind = what.rpartition(".")
@@ -185,7 +197,7 @@ def _structure_loads(model: LaxityModel, theta: bytes) -> StructureLoads:
 
 @lru_cache(maxsize=_KEPT)
 def _contact_jacobian(model: LaxityModel, theta: bytes, trial: int) -> Array:
-    return contact_jacobian(model, _prediction(model, theta), trial)
+    return np.asarray(contact_jacobian(model, _prediction(model, theta), [trial])[0])
 
 
 @declared

@@ -37,6 +37,7 @@ MODULES = {
     "measured_knee": "verify_measured_knee",
     "priors": "verify_priors",
     "lowest_fit": "verify_lowest_fit",
+    "experiments": "verify_experiments",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }

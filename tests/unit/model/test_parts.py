@@ -146,13 +146,13 @@ def _values(model: LaxityModel, found: Prediction) -> dict[str, Array]:
 def _slopes(model: LaxityModel, found: Prediction) -> dict[str, Array]:
     """Their derivatives."""
     loads = structure_loads(model, found)
-    contact = [contact_jacobian(model, found, i)[:, 0] for i in range(len(found.codes))]
+    contact = contact_jacobian(model, found, range(len(found.codes)))[:, :, 0]
     assert found.jacobian is not None
     return {
         "coordinates": found.jacobian,
         "tension": loads.tension_jacobian,
         "strain": loads.strain_jacobian,
-        "contact": np.array(contact),
+        "contact": contact,
     }
 
 
