@@ -245,7 +245,8 @@ def investigate(
     ValueError
         If there is no such start.
     """
-    begin = [_start(knee, laxity, x) if isinstance(x, str | os.PathLike) else x for x in starts]
+    own = LaxityModel(knee=knee, protocol=laxity.protocol, effects=()).parameters
+    begin = [load_start(x, own) if isinstance(x, str | os.PathLike) else x for x in starts]
     if effects is None:
         present = {x.name for x in LaxityModel(knee=knee, protocol=laxity.protocol).effects}
         effects = [x for x in _library(knee, laxity) if x.name not in present]
@@ -291,11 +292,6 @@ def work_of(n: int) -> dict[str, list[float]]:
         "choosing trials": [1.6 * size],
         "telling what follows": [1.3 * size],
     }
-
-
-def _start(knee: Knee, laxity: Laxity, name: str | os.PathLike[str]) -> Array:
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=())
-    return load_start(name, model.parameters)
 
 
 def _library(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:

@@ -195,7 +195,11 @@ class _Sets:
                 self._found[key] = x
         self.best = self._base
         for size in range(1, MOST_CAUSES + 1):
-            own = [x for x in self._simple if len(x.causes) == size]
+            own = [
+                x
+                for x in self._found.values()
+                if len(x.causes) == size and not any(map(is_flexible, x.causes))
+            ]
             top = max(own, key=lambda x: x.log_evidence, default=self._base)
             if is_better(top, self.best, self._n_effects):
                 self.best = top
@@ -234,10 +238,6 @@ class _Sets:
         most = max(len(self.best.causes), 1)
         found = (x for x in self._found.values() if len(x.causes) <= most)
         return tuple(x for x in found if x is not self.best and x.causes)
-
-    @property
-    def _simple(self) -> list[Refit]:
-        return [x for x in self._found.values() if not any(map(is_flexible, x.causes))]
 
 
 def is_better(new: Refit, old: Refit, n_effects: int) -> bool:

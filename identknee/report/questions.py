@@ -21,7 +21,7 @@ def stale_answers(answers: Sequence[Answer]) -> dict[int, Answer]:
             for x in answers
             if x.best_deviance < own.best_deviance - SAME
             and not (isinstance(x, Calibration) and isinstance(own, Calibration))
-            and _is_same(own.question, x.question)
+            and _differences(own.question, x.question) == ()
         ]
         if others:
             found[place] = min(others, key=lambda x: x.best_deviance)
@@ -52,12 +52,9 @@ def question_sentences(answers: Sequence[Answer]) -> Iterator[str]:
         )
 
 
-def _is_same(one: Question | None, other: Question | None) -> bool:
-    return one is not None and other is not None and not one.differences(other)
-
-
-def _differences(one: Question | None, other: Question | None) -> tuple[str, ...]:
-    return () if one is None or other is None else one.differences(other)
+def _differences(one: Question | None, other: Question | None) -> tuple[str, ...] | None:
+    """In what two questions differ; None where one is not known."""
+    return None if one is None or other is None else one.differences(other)
 
 
 def _verb(answer: Answer) -> str:

@@ -111,7 +111,12 @@ def quantity_clause(profile: Profile) -> str:
         return "is undecided, because a limit was not fully computed"
     if low == high == 0.0 and profile.unit == "N":
         return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
-    hangs = _assumptions(profile)
+    assumed = [
+        f"the {which} end "
+        + (f"hangs on the bound of {parameter_words(owner)}" if owner else "is made by priors")
+        for which, owner in _assumed_ends(profile).items()
+    ]
+    hangs = f"; {listed(assumed)}" if assumed else ""
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
         said = "is known to within" if profile.is_known else "lies within"
@@ -129,26 +134,14 @@ def quantity_clause(profile: Profile) -> str:
     return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
 
 
-def _assumptions(profile: Profile) -> str:
-    """Which ends hang on bounds of other parameters or on priors; empty where data make both."""
-    said = []
-    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
-        if side.bound_of is not None:
-            said.append(f"the {which} end hangs on the bound of {parameter_words(side.bound_of)}")
-        elif side.made_by is EndOrigin.PRIOR:
-            said.append(f"the {which} end is made by priors")
-    return f"; {listed(said)}" if said else ""
-
-
-def _assumed_ends(profile: Profile) -> str:
-    """The same for a table."""
-    said = []
-    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
-        if side.bound_of is not None:
-            said.append(f"{which}: bound of {label_without_unit(side.bound_of)}")
-        elif side.made_by is EndOrigin.PRIOR:
-            said.append(f"{which}: prior")
-    return ", ".join(said)
+def _assumed_ends(profile: Profile) -> dict[str, str | None]:
+    """The ends that data do not make: the parameter whose bound does, None where priors do."""
+    sides = {"lower": profile.lower_side, "upper": profile.upper_side}
+    return {
+        which: side.bound_of
+        for which, side in sides.items()
+        if side.bound_of is not None or side.made_by is EndOrigin.PRIOR
+    }
 
 
 def _feasibility_limits(profile: Profile) -> str:
@@ -187,7 +180,13 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
 
 
 def _table(profiles: Sequence[Profile], title: str) -> Table:
-    assumed = [_assumed_ends(x) for x in profiles]
+    assumed = [
+        ", ".join(
+            f"{which}: bound of {label_without_unit(owner)}" if owner else f"{which}: prior"
+            for which, owner in _assumed_ends(x).items()
+        )
+        for x in profiles
+    ]
     more = ("ends not made by data",) if any(assumed) else ()
     return table(
         title,
