@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
@@ -53,9 +53,12 @@ def legend_below(
     )
 
 
-def bare(axes: Axes) -> None:
-    """Axes without a frame above and on the right."""
+def bare(axes: Axes, grid: Literal["x", "y"] | None = None) -> None:
+    """Axes without a frame above and on the right, with pale lines across one of them."""
     axes.spines[["top", "right"]].set_visible(False)
+    if grid is not None:
+        axes.grid(axis=grid, color="0.92")
+        axes.set_axisbelow(True)
 
 
 DOTS_PER_INCH, DOTS_IN_NOTEBOOK = 150, 110

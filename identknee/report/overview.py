@@ -34,6 +34,7 @@ from identknee.runs.words import (
     interval,
     label_without_unit,
     listed,
+    listed_first,
     parameter_words,
     unit_of,
 )
@@ -496,6 +497,4 @@ def _known(
 
 
 def _named(names: Sequence[str]) -> str:
-    shown = [parameter_words(x) for x in names[:MOST_NAMED]]
-    more = len(names) - len(shown)
-    return listed([*shown, *([f"{more} more"] if more else [])])
+    return listed_first([parameter_words(x) for x in names], MOST_NAMED)

@@ -12,7 +12,7 @@ from identknee.report.answers.design import trial_list, trial_table, trials_word
 from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import table
 from identknee.runs.schema import summary_of
-from identknee.runs.words import amount, listed
+from identknee.runs.words import amount, listed, listed_first
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
 
@@ -32,9 +32,7 @@ def detectable_sizes(x: Detectability) -> tuple[str, str]:
 
 def _few(causes: Sequence[str]) -> str:
     """Causes in words, of many the first."""
-    shown = [cause_label(x) for x in causes[:MOST_CAUSES]]
-    more = len(causes) - len(shown)
-    return listed([*shown, *([f"{more} more"] if more else [])])
+    return listed_first([cause_label(x) for x in causes], MOST_CAUSES)
 
 
 def distances_of(answer: Isolability) -> Distances:
