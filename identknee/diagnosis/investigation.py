@@ -62,9 +62,8 @@ from identknee.subject.knee import Knee
 # Fall of the deviance from which on it is another minimum of the base model, and not the end of
 # the same one.
 LOWER = 1.0
-# Fall of the deviance that a fit which ended before its minimum may promise and still be taken for
-# it.
-LEAST_PROMISE = 1.0
+# Predicted reduction with which a fit that ended before its minimum is still taken for it.
+SMALL_REDUCTION = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -347,11 +346,12 @@ def trial_layout(laxity: Laxity) -> TrialLayout:
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:
     fitted = refit.fitted
-    if fitted.outcome is Outcome.MINIMUM or refit.promised_fall < LEAST_PROMISE:
+    if fitted.outcome is Outcome.MINIMUM or refit.predicted_reduction < SMALL_REDUCTION:
         return []
+    reduction = refit.predicted_reduction
     sentence = (
         f"The fit {which} did not reach its minimum, and the linear model predicts a misfit lower "
-        f"by {refit.promised_fall:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
+        f"by {reduction:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
     )
-    values = {"explanation": refit.names, "promised_fall": refit.promised_fall}
+    values = {"explanation": refit.names, "promised_fall": reduction}
     return [finding("fit-unfinished", "starts", values, sentence=sentence)]

@@ -71,7 +71,7 @@ class AttributionStep(CandidateCauses):
     """The scores at one fit, and the refits they suggest."""
 
     at: Refit = entry("The fit")
-    scores: Scores = entry("How strongly it speaks for each effect that is not in it")
+    scores: Scores = entry("How strongly it favours each effect that is not in it")
     refits: tuple[Refit, ...] = entry(
         "The fit extended by each promising effect, the highest evidence first"
     )
@@ -286,7 +286,7 @@ def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...
     tuple of Refit
         The highest evidence first.
     """
-    tasks = [_Task.of(step, x, base) for x in _promising(step)]
+    tasks = [_Task.of(step, x, base) for x in _high_scoring(step)]
     begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
     best = max((x.log_evidence for x in begun), default=0.0)
     costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
@@ -310,7 +310,7 @@ def is_flexible(effect: Effect) -> bool:
     return effect.parameters.n > MOST_AMPLITUDES
 
 
-def _promising(step: AttributionStep) -> list[CandidateScore]:
+def _high_scoring(step: AttributionStep) -> list[CandidateScore]:
     found_high = [x for x in step.scores.candidates if x.score > LEAST_SCORE]
     if step.at.causes:
         by_name = {x.effect.name: x.effect for x in step.variants}
@@ -346,7 +346,7 @@ class _Task:
 
     def cost(self, begun: Refit) -> float:
         """What it takes to finish a refit, beside those of other effects."""
-        is_far = is_flexible(self.causes[-1]) and begun.promised_fall > NEARLY_DONE
+        is_far = is_flexible(self.causes[-1]) and begun.predicted_reduction > NEARLY_DONE
         return FAR_FROM_DONE if is_far else SIMPLE
 
     def begun(self, base: Refit) -> Refit:

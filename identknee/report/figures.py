@@ -1,7 +1,7 @@
 """Colours, markers, sizes and frames that all figures share.
 
-Colours are those of Okabe and Ito, which the colour-blind tell apart, and always come with a marker
-or a label.
+Colours are those of Okabe and Ito, distinct for the colour-blind, and always come with a marker or
+a label.
 """
 
 import io
@@ -89,7 +89,7 @@ def png(figure: Figure, dots: int = DOTS_PER_INCH) -> bytes:
 
 
 def show_figures() -> None:
-    """Let a notebook show figures as pictures, also where nobody imported pyplot."""
+    """Let a notebook show figures as pictures, also where pyplot was not imported."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is None:
         return

@@ -136,17 +136,17 @@ def reasons(agreements: Iterable[Agreement]) -> str:
     if len(sources) < 2:
         return ""
     differing = {x.source for own in seen for x, _ in own.differing}
-    said = [f"Methods compared: {listed(x.value for x in sources)}."]
-    said += [_WHY[x] for x in sources if x in differing and x in _WHY]
+    sentences = [f"Methods compared: {listed(x.value for x in sources)}."]
+    sentences += [_WHY[x] for x in sources if x in differing and x in _WHY]
     if any(x.status == NOT_CONVERGED for x in ranges):
-        said.append("The posterior has not converged yet.")
+        sentences.append("The posterior has not converged yet.")
     scales = sorted({x.reach for x in ranges if x.reach not in (None, 1.0)} - {None})
-    said += [
+    sentences += [
         f"Equivalent sets reach to {x:.2g} times the squared misfit that ends a 95 % set; for the "
         "comparison they are scaled to the same misfit."
         for x in scales
     ]
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 _WHY = {
@@ -172,7 +172,7 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
 
 
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
-    """By the name of a parameter or force, what each method says of it, the most telling first.
+    """By the name of a parameter or force, what each method says of it, the most informative first.
 
     If two answers are of one kind, the later counts.
     """
@@ -402,7 +402,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
         questions=tuple(question_sentences(answers)),
-        next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
+        next_tests=tuple(test for x in answers for test in presenter_of(x).next_tests(x)),
     )
 
 
@@ -441,15 +441,17 @@ def _verdict(
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]
     moved = [x.name for x in rows if x.found.is_moved_by_cause]
-    said = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
+    sentences = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
     doubts = [f"methods contradict one another on {_named(contradicted)}"] * bool(contradicted)
     doubts += [f"with the cause {_named(moved)} lies outside its set"] * bool(moved)
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
     if tone is Tone.GOOD and (unknown or doubts):
         tone = Tone.OPEN
     if doubts:
-        said.append(f"However, {listed(doubts)}." if said else f"{capitalised(listed(doubts))}.")
-    return " ".join(said), tone
+        sentences.append(
+            f"However, {listed(doubts)}." if sentences else f"{capitalised(listed(doubts))}."
+        )
+    return " ".join(sentences), tone
 
 
 def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
@@ -461,8 +463,7 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
         return diagnosis.verdict.sentence, Tone.OPEN
     if diagnosis.verdict is Verdict.NAMED:
         names = listed(map(cause_label, diagnosis.cause_names))
-        said = f"A misfit is detected. Only one known cause fits: {names}."
-        return said, Tone.WRONG
+        return f"A misfit is detected. Only one known cause fits: {names}.", Tone.WRONG
     return diagnosis.sentence, Tone.WRONG
 
 
@@ -489,11 +490,11 @@ def _known(
     words = {x.status for x in unknown}
     names, n_known = _named([x.name for x in unknown]), n - len(unknown)
     share = f"{n_known or 'None'} of {n} parameters {'is' if n_known < 2 else 'are'}"
-    said = f"{share} known within limits{proviso}"
+    known = f"{share} known within limits{proviso}"
     if words == {NOT_CONVERGED}:
-        return f"{said}; the posterior of {names} has not converged yet."
+        return f"{known}; the posterior of {names} has not converged yet."
     state = words.pop() if len(words) == 1 else "not"
-    return f"{said}; {names} {'is' if len(unknown) == 1 else 'are'} {state}."
+    return f"{known}; {names} {'is' if len(unknown) == 1 else 'are'} {state}."
 
 
 def _named(names: Sequence[str]) -> str:

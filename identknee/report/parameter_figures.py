@@ -577,7 +577,7 @@ def _on_three_lines(name: str) -> str:
     return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
 
 
-# From nothing to everything: dark means much, and grey prints tell the same.
+# From nothing to everything: dark means much, in grey prints too.
 MAP = "viridis_r"
 
 

@@ -56,7 +56,7 @@ def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
     model
         The model.
     side
-        Which knee, where it has two; also of which side a knee is whose names do not tell it.
+        Which knee, where it has two; also the side of a knee whose names do not state one.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
 
 
 def side_in(name: str) -> Side | None:
-    """The side that a name of the model tells; None where it tells none.
+    """The side that a name of the model states; None where it states none.
 
     Examples
     --------
@@ -752,7 +752,7 @@ def _part(surface: Surface, chosen: BoolArray) -> Surface:
 
 
 def _landmarks(bones: Bones) -> tuple[Landmark, ...]:
-    """The hip and the ankle centre where joints named so hold on to the bones."""
+    """The hip and the ankle centre where joints of these names are on the bones."""
     found = {}
     for joint in bones.model.joints:
         if "hip" in joint.name.lower() and joint.child in bones.femur:

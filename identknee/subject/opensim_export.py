@@ -240,7 +240,7 @@ def _check_same(knee: Knee, model: OsimModel) -> None:
 
 
 def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
-    """The model's lines that the knee speaks of, with what they are to be."""
+    """The model's lines that are ligaments of the knee, with their new values."""
     found, not_taken = lines_of(bones)
     lines = {x.ligament.name: x for x in found}
     missing = [name for x in not_taken if x.change == "left out" for name in x.names]

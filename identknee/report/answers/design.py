@@ -1,4 +1,4 @@
-"""Which trials to measure next, and what they would tell."""
+"""Which trials to measure next, and what they would narrow."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -41,7 +41,7 @@ def distances_of(answer: Isolability) -> Distances:
 
 
 class IsolabilityPresenter(Presenter[Isolability]):
-    """How it is shown what a protocol could tell apart."""
+    """How it is shown what a protocol could distinguish."""
 
     question = Question.WRONG
 
@@ -60,10 +60,10 @@ class IsolabilityPresenter(Presenter[Isolability]):
         shown = table("What these trials could show in nine of ten data sets", names, rows)
         trials = f"The {answer.n_trials} trials of {answer.protocol}"
         together = "; ".join(_few(x.effects) for x in answer.groups)
-        said = "would distinguish all causes."
+        outcome = "would distinguish all causes."
         if answer.groups:
-            said = f"could not distinguish all causes. These are confounded: {together}."
-        yield self.say(f"{trials} {said}", shown, is_answer=True)
+            outcome = f"could not distinguish all causes. These are confounded: {together}."
+        yield self.say(f"{trials} {outcome}", shown, is_answer=True)
         for group in answer.groups:
             if group.advised_trials:
                 n = len(group.advised_trials)

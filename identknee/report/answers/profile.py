@@ -119,10 +119,10 @@ def quantity_clause(profile: Profile) -> str:
     hangs = f"; {listed(assumed)}" if assumed else ""
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
-        said = "is known to within" if profile.is_known else "lies within"
+        claim = "is known to within" if profile.is_known else "lies within"
         doubt = "" if profile.doubt is None else f", {profile.doubt.value}"
         ends = f"{amount(low, '')} to {amount(high, unit)}"
-        return f"{said} ±{half} ({ends}{hangs}){doubt}"
+        return f"{claim} ±{half} ({ends}{hangs}){doubt}"
     if low is not None:
         limits = f"{hangs}{_feasibility_limits(profile)}"
         return f"has no upper limit (at least {amount(low, unit)}{limits})"
@@ -170,13 +170,13 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
         for x in profiles
     )
     doubt = next((f", {x.doubt.value}" for x in profiles if x.doubt is not None), "")
-    said = f"ligament parameters on both sides{doubt}"
     if n == 1:
         bound = "bound" if k else "do not bound"
         name = parameter_words(profiles[0].name)
         return f"at {level:g} % confidence the data {bound} {name} on both sides{doubt}."
     which = ("both" if n == 2 else f"all {n}") if k == n else f"{k or 'none'} of the {n}"
-    return f"at {level:g} % confidence the data bound {which} {said}."
+    owned = f"{which} ligament parameters"
+    return f"at {level:g} % confidence the data bound {owned} on both sides{doubt}."
 
 
 def _table(profiles: Sequence[Profile], title: str) -> Table:

@@ -87,7 +87,7 @@ def test_without_bounds_it_is_the_evidence_of_a_linear_model() -> None:
     sd = np.sqrt(np.diag(np.linalg.inv(information)))
     assert found.sd == pytest.approx(sd, rel=SOLVED)
     ends = stats.norm(mean, sd).interval(0.95)
-    intervals = [found.interval(i) for i in range(found.theta.size)]
+    intervals = np.array([found.interval(i) for i in range(found.theta.size)], dtype=np.float64)
     np.testing.assert_allclose(intervals, np.transpose(ends), rtol=SOLVED)
 
 
