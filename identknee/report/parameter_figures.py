@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-import scipy.interpolate
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -161,19 +160,6 @@ def intervals_figure(
         axes.tick_params(labelsize=8)
     _legend_above(figure, grid[0], columns=6, fontsize=8)
     return figure
-
-
-def smooth_edge(edge: Array) -> Array:
-    """Many points on a closed smooth curve through the edge of a set, shape ``(k, 2)``.
-
-    An edge with gaps, where NaN stands, is given back as it is, closed.
-    """
-    closed = np.vstack([edge, edge[:1]])
-    if not np.isfinite(edge).all():
-        return closed
-    steps = np.arange(len(closed))
-    curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
-    return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
 
 
 def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
