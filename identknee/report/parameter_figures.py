@@ -565,6 +565,8 @@ def _on_three_lines(name: str) -> str:
 
 # From nothing to everything: dark means much, in grey prints too.
 MAP = "viridis_r"
+# Panels side by side, and inches of them together, enough for the names in the legend.
+MAPS_ACROSS, WIDTH = 2, 9.0
 
 
 def effects_figure(
@@ -580,7 +582,8 @@ def effects_figure(
     parameters
         Their names.
     """
-    figure, grid = _panels(len(panels), (4.5, 3.2), (0.0, 0.6), across=2)
+    across = min(len(panels), MAPS_ACROSS)
+    figure, grid = _panels(len(panels), (WIDTH / across, 3.2), (0.0, 0.6), across)
     for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=True):
         # One trajectory has no spread and no interval.
         far = np.concatenate([size + np.nan_to_num(half_width), spread])
