@@ -260,6 +260,12 @@ def other_ligaments(bones: Bones) -> list[Element]:
     ]
 
 
+def unread_names(bones: Bones, not_taken: Sequence[NotTaken]) -> list[str]:
+    """Names of the ligaments between femur and tibia that the model has and that are not read."""
+    left_out = [name for x in not_taken if x.change == "left out" for name in x.names]
+    return left_out + [x.get("name", "") for x in other_ligaments(bones)]
+
+
 def is_muscle(force: Element) -> bool:
     """Whether a force is that of a muscle."""
     return "Muscle" in force.tag or force.find("max_isometric_force") is not None
@@ -444,8 +450,7 @@ def imported_knee(
     ligaments = [x.ligament for x in lines]
     remarks = [f"{capitalised(x.why)}: {', '.join(x.names)}." for x in not_taken]
     if bundles == "merged":
-        missing = [name for x in not_taken if x.change == "left out" for name in x.names]
-        missing += [x.get("name", "") for x in other_ligaments(bones)]
+        missing = unread_names(bones, not_taken)
         used = [y.name for x in MERGED for y in bundle_names(x, ligaments, missing)]
         rest = tuple(x.name for x in ligaments if x.name not in used)
         if rest:
