@@ -189,7 +189,7 @@ NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15
 SD, CORRELATION = 0.3, 0.3  # mm and deg
 HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
 STATED_RANGE = (0.8, 1.2)
-# Share of the cases with another effect that also tell the order of their trials.
+# Share of the cases with another effect that also state the order of their trials.
 ORDER_SHARE = 0.3
 MOST_DRAWS = 40
 # After so many draws without equilibria the errors of the knee are drawn again too.

@@ -82,7 +82,7 @@ def minimum(R, t, flexion, load, knee):
         new, n_new = energy_of(new_R, new_t, load, knee, listed, trial, others)
         expected = -(np.dot(gradient, step) + 0.5 * np.dot(step, H @ step))
         gained = energy - new
-        # Near the minimum the energy is rounded off and the force alone can tell.
+        # Near the minimum the energy is rounded off and only the force is accurate enough.
         is_close = np.max(np.abs(trial)) < 0.5 * largest and gained > -1e-7
         if gained > 0.05 * expected or is_close:
             if gained > 0.75 * expected or is_close:

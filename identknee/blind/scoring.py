@@ -122,9 +122,9 @@ def _sentence(
 ) -> str:
     hidden = " and ".join(truth.effects) or "nothing"
     given = " and ".join(sorted(named | group))
-    said = f"{verdict} ({given})" if given else verdict
+    diagnosed = f"{verdict} ({given})" if given else verdict
     judged = "right" if correct else "a wrong name" if wrong else "not right, no wrong name"
-    return f"Hidden: {hidden}, signal {truth.signal:.1f}. Diagnosed: {said}: {judged}."
+    return f"Hidden: {hidden}, signal {truth.signal:.1f}. Diagnosed: {diagnosed}: {judged}."
 
 
 def _line(truth: Truth, found: Mapping[str, Any] | None) -> tuple[float | None, float | None]:

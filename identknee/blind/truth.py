@@ -84,7 +84,7 @@ class Truth:
 
 
 def write_truth(truth: Truth, folder: PathLike) -> Path:
-    """Path of the sealed file in `folder`, which nobody reads by accident.
+    """Path of the sealed file in `folder`, which is not read by accident.
 
     Raises
     ------

@@ -1,13 +1,14 @@
-"""The command `identknee`: its verbs, and its version."""
+"""The command `identknee`: its verbs, and the commands that leave no answer in files."""
 
 from importlib.metadata import version
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 
-from identknee.cli.command import Command
-from identknee.cli.commands import doctor, list_all, report, reveal
-from identknee.cli.verb_command import SubjectGroup, VerbGroup
+import identknee as ik
+from identknee.cli.command import Command, Json, print_result, show
+from identknee.cli.verb_command import PAGE, SubjectGroup, VerbGroup
 
 app = typer.Typer(
     cls=VerbGroup,
@@ -40,6 +41,86 @@ def identknee(
     writes result.json, and result.nc with all arrays, to the folder --out. Exit codes: 0 done,
     1 it could not be computed or an error was found, 2 the input is wrong.
     """
+
+
+Folder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DIR", help="Results folder of any command, or a folder of such folders."
+    ),
+]
+File = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="The page.  [default: DIR/report.html]")
+]
+Figures = Annotated[
+    Literal["svg", "pdf"] | None,
+    typer.Option(
+        help="Also write every figure for a paper, to the folder figures beside the page."
+    ),
+]
+
+
+def report(
+    folder: Folder, out: File = None, figures: Figures = None, as_json: Json = False
+) -> None:
+    """Write the results in DIR as one page that works offline.
+
+    The answer comes first, with the numbers behind each sentence: what is known and what is
+    not, what the model gets wrong, which test to do next. It takes the results of all commands
+    in DIR and in the folders in it, subject by subject.
+    """
+    # This loads xarray and matplotlib, which takes longer than most mistakes.
+    from identknee.report.write_report import FIGURES, write_report
+
+    summary = write_report(folder, out or folder / PAGE, figures)
+    found = ", ".join(x["verb"] for x in summary["results"])
+    lines = [f"Report on {found}: {summary['report']}", *summary["remarks"]]
+    if figures is not None:
+        lines.append(
+            f"{len(summary['figures'])} figures: {Path(summary['report']).parent / FIGURES}"
+        )
+    show(summary, lines, as_json=as_json)
+
+
+BlindFolder = Annotated[
+    Path, typer.Argument(metavar="BLIND_DIR", help="A folder that `identknee blind` wrote.")
+]
+DiagnosisFolder = Annotated[
+    Path, typer.Argument(metavar="DIAGNOSIS_DIR", help="A folder that `identknee diagnose` wrote.")
+]
+
+
+def reveal(blind_dir: BlindFolder, diagnosis_dir: DiagnosisFolder, as_json: Json = False) -> None:
+    """Reveal a hidden effect, and score its diagnosis."""
+    print_result(ik.blind_test.reveal(blind_dir, diagnosis_dir), as_json=as_json)
+
+
+def list_all(as_json: Json = False) -> None:
+    """List the subjects that come with identknee.
+
+    Sources and licences stand with each. Use a name wherever a command wants SUBJECT. A subject
+    with measured laxity also stands for its DATA.csv.
+    """
+    print_result(
+        ik.verbs.list_subjects(),
+        "Next: identknee subject check NAME, or identknee simulate NAME",
+        as_json=as_json,
+    )
+
+
+ChecksJson = Annotated[
+    bool, typer.Option("--json", help="Print the checks as JSON, and nothing else.")
+]
+
+
+def doctor(as_json: ChecksJson = False) -> None:
+    """Check this installation, with a short self-test.
+
+    It looks at versions, cores, cache and extras. The self-test repeats known trials of the
+    reference knee. The first one after an installation compiles, which takes up to a minute. The
+    exit code is 1 if anything is wrong.
+    """
+    print_result(ik.verbs.doctor(), as_json=as_json)
 
 
 subject = typer.Typer(

@@ -42,7 +42,7 @@ Verbose = Annotated[
 
 
 class Command(typer.core.TyperCommand):
-    """A verb that tells the group it belongs to what it was called with."""
+    """A verb that leaves the values it was called with to its group."""
 
     @override
     def invoke(self, ctx: Any) -> Any:

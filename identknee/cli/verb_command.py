@@ -128,10 +128,10 @@ def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
     """A parameter of a verb as typer takes it."""
     from identknee.verbs.options import as_typed, option_of
 
-    said = option_of(own.annotation)
-    typed = _typed(own.annotation, said.typed)
+    stated = option_of(own.annotation)
+    typed = _typed(own.annotation, stated.typed)
     is_list = list in (get_origin(x) for x in (typed, *get_args(typed)))
-    text = as_typed(said.text) + " May be repeated." * is_list
+    text = as_typed(stated.text) + " May be repeated." * is_list
     default = own.default
     if own.name == "out":
         default = Path(verb.folder)
@@ -141,14 +141,16 @@ def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
         default = (default,)
     about: Any
     callback = CALLBACKS.get(own.name)
-    if said.is_argument:
-        metavar = said.metavar if default is own.empty else f"[{said.metavar}]"
+    if stated.is_argument:
+        metavar = stated.metavar if default is own.empty else f"[{stated.metavar}]"
         about = typer.Argument(metavar=metavar, help=text, callback=callback)
     else:
         # A flag has no opposite, as a single name says.
-        flags = [said.flag or f"--{own.name.replace('_', '-')}"] * bool(said.flag or typed is bool)
+        flags = [stated.flag or f"--{own.name.replace('_', '-')}"] * bool(
+            stated.flag or typed is bool
+        )
         about = typer.Option(
-            *flags, metavar=said.metavar, min=said.least, help=text, callback=callback
+            *flags, metavar=stated.metavar, min=stated.least, help=text, callback=callback
         )
     return inspect.Parameter(
         own.name,

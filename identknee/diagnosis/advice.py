@@ -110,7 +110,7 @@ class AdviceCandidates:
         rows
             Columns of `n_base` base parameters, then of the effects in `pairs`.
         pairs
-            What to tell apart, see `identknee.diagnosis.isolability.advise_trials`.
+            What to distinguish, see `identknee.diagnosis.isolability.advise_trials`.
         fitted
             The fit.
         n_base
@@ -190,7 +190,8 @@ def advise(best: Refit, rivals: Sequence[Rival], laxity: Laxity) -> AdvisedProto
 
     None without any, and where the model has no equilibrium in the trials that could be added.
 
-    Causes that depend on the order of the trials are left out: no choice of loads tells them apart.
+    Causes that depend on the order of the trials are left out: no choice of loads can
+    distinguish them.
 
     Trials of the data may be advised once more. Each is taken to be measured as those made were.
     """

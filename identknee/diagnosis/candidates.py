@@ -99,7 +99,7 @@ def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Varian
             continue
         moved = np.flatnonzero(seen)
         strain = values[effect.first_shift - 1] if isinstance(effect, Structure) else None
-        # What tells effects of one name apart.
+        # What distinguishes effects of one name.
         place = effect.variant if isinstance(effect, InsertionShift | LigamentBundles) else ""
         yield Variant(
             effect=effect,
@@ -344,7 +344,7 @@ def library_candidates(
 # Score of errors of zero from which on a fit with them is worth its time: data without a cause have
 # 0 to 1, those of 0.3 mm and deg of such errors 8 and more.
 LEAST_SCORE = 4.0
-# Trials of an angle that tell its zero from what their loads do, on average.
+# Trials of an angle that separate its zero from what their loads do, on average.
 LEAST_TRIALS = 5
 
 
@@ -383,7 +383,7 @@ def remounting_errors(base: Refit, best: Refit) -> Remounting | None:
         return None
     if base.fitted.laxity.zero != "absolute":
         return None
-    # How strongly the fit speaks for the errors, in units of its own residuals.
+    # How strongly the fit favours the errors, in units of its own residuals.
     effect = remounting(angles.tolist())
     fitted, p = base.fitted, effect.parameters
     model = fitted.model.with_effects([*fitted.model.effects, effect])

@@ -191,7 +191,7 @@ class FittedModel:
     def is_scored(self) -> BoolArray:
         """Which rows causes are scored by, shape ``(m + p,)``: all but priors that are refuted.
 
-        That an effect brings ligaments back to their priors speaks for it, unless the data put
+        That an effect brings ligaments back to their priors favours it, unless the data put
         a ligament so far off that its prior says nothing of this knee.
         """
         scored, n = np.ones(len(self.evaluation.residuals), bool), self.model.tied.n
@@ -324,7 +324,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
 
 
 def fitted_with_nuisances(fitted: FittedModel, sd: Array, correlation: float) -> FittedModel:
-    """A fit repeated from where it ended, with what nobody wants named among the errors."""
+    """A fit repeated from where it ended, with misfit that is not to be named among the errors."""
     changes, spreads = nuisance_changes(fitted.model, fitted.theta)
     noise = build_noise_model(
         sd,
@@ -378,7 +378,7 @@ def without_idle_priors(base: BaseFit) -> BaseFit:
     """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
 
     What its prior says of it is not true of this knee: a torn ligament has no stiffness, and how
-    long a slack one is, no data tell. Where its prior still pulled, it would carry a little that
+    long a slack one is, no data show. Where its prior still pulled, it would carry a little that
     another effect could take away, and every effect that gives it a load would gain evidence.
     """
     fitted = base.fitted
@@ -507,7 +507,7 @@ class Refit:
         return cauchy_combination([*3 * [library_p_value], self.misfit_p_value_at(noise_factor)])
 
     @property
-    def promised_fall(self) -> float:
+    def predicted_reduction(self) -> float:
         """Further reduction of the deviance by the linear model; inf without a prediction."""
         evaluation = self.fitted.evaluation
         if not evaluation.is_finite:
@@ -649,7 +649,7 @@ class Rival:
     log_evidence_deficit: float = entry(
         "By how much the logarithm of its evidence is lower than that of the best explanation"
     )
-    distance: float = entry("How well the data could tell both apart, see `expected_distance`")
+    distance: float = entry("How well the data could distinguish both, see `expected_distance`")
     score: CandidateScore | None = entry(
         "Score of its cause that the best explanation lacks, before any refit; None where it lacks "
         "several"
@@ -658,7 +658,7 @@ class Rival:
 
     @property
     def state(self) -> RivalState:
-        """Whether the data speak against it clearly enough, if it could be fitted at all.
+        """Whether the data contradict it clearly enough, if it could be fitted at all.
 
         A fit that ended before its minimum is taken for as good as the linear model predicts that
         it may become: only what is excluded even so is excluded.
@@ -705,7 +705,7 @@ def is_undecided(refit: Refit, deficit: float) -> bool:
         return True
     if refit.fitted.outcome is Outcome.MINIMUM:
         return False
-    return deficit - 0.5 * refit.promised_fall <= FAR_EVIDENCE
+    return deficit - 0.5 * refit.predicted_reduction <= FAR_EVIDENCE
 
 
 def could_matter(score: CandidateScore, highest: float) -> bool:

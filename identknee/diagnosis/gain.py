@@ -395,7 +395,7 @@ def held_out(
 
     Every fold is refitted from `theta`, priors included. The prediction of a held trial is Gaussian
     by the model's linearisation there: it holds the noise, what the parameters may still be, and
-    what errors shared between trials (nuisances, or a discrepancy) tell from the trials kept. A
+    what errors shared between trials (nuisances, or a discrepancy) predict from the trials kept. A
     trial whose pose turns sharply with a parameter, such as an unloaded one between two lax poses,
     may stray further than that says.
 
@@ -492,7 +492,7 @@ def _score(
     if not found.evaluation.is_finite:
         return _unscored(fold, observations, theta.size, FoldStatus.FAILED)
     at = memory(found.evaluation.theta)
-    # What errors of the trials kept tell about those of the trials held.
+    # What errors of the trials kept imply for those of the trials held out.
     weights = among.whiten(noise.between(kept, held)).T
     left = -(at.residuals[held] - weights @ among.whiten(at.residuals[kept]))
     slope = at.jacobian[held] - weights @ among.whiten(at.jacobian[kept])

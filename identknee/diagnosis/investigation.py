@@ -63,9 +63,8 @@ from identknee.subject.knee import Knee
 # Fall of the deviance from which on it is another minimum of the base model, and not the end of
 # the same one.
 LOWER = 1.0
-# Fall of the deviance that a fit which ended before its minimum may promise and still be taken for
-# it.
-LEAST_PROMISE = 1.0
+# Predicted reduction with which a fit that ended before its minimum is still taken for it.
+SMALL_REDUCTION = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -246,7 +245,8 @@ def investigate(
     ValueError
         If there is no such start.
     """
-    begin = [_start(knee, laxity, x) if isinstance(x, str | os.PathLike) else x for x in starts]
+    own = LaxityModel(knee=knee, protocol=laxity.protocol, effects=()).parameters
+    begin = [load_start(x, own) if isinstance(x, str | os.PathLike) else x for x in starts]
     if effects is None:
         present = {x.name for x in LaxityModel(knee=knee, protocol=laxity.protocol).effects}
         effects = [x for x in _library(knee, laxity) if x.name not in present]
@@ -292,11 +292,6 @@ def work_of(n: int) -> dict[str, list[float]]:
         "choosing trials": [1.6 * size],
         "telling what follows": [1.3 * size],
     }
-
-
-def _start(knee: Knee, laxity: Laxity, name: str | os.PathLike[str]) -> Array:
-    model = LaxityModel(knee=knee, protocol=laxity.protocol, effects=())
-    return load_start(name, model.parameters)
 
 
 def _library(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
@@ -353,11 +348,12 @@ def trial_layout(laxity: Laxity) -> TrialLayout:
 
 def _unfinished(refit: Refit, which: str) -> list[Finding]:
     fitted = refit.fitted
-    if fitted.outcome is Outcome.MINIMUM or refit.promised_fall < LEAST_PROMISE:
+    if fitted.outcome is Outcome.MINIMUM or refit.predicted_reduction < SMALL_REDUCTION:
         return []
+    reduction = refit.predicted_reduction
     sentence = (
         f"The fit {which} did not reach its minimum, and the linear model predicts a misfit lower "
-        f"by {refit.promised_fall:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
+        f"by {reduction:.2g}: {fitted.outcome.sentence} Begin it elsewhere with --start."
     )
-    values = {"explanation": refit.names, "promised_fall": refit.promised_fall}
+    values = {"explanation": refit.names, "promised_fall": reduction}
     return [finding("fit-unfinished", "starts", values, sentence=sentence)]

@@ -75,7 +75,7 @@ def least_favourable_distances(
     root: float,
     rivals: Sequence[ProjectedSignature],
 ) -> Distances:
-    """The distances before any data, each effect in the mix of its amplitudes hardest to tell.
+    """The distances before any data, each effect with the mix of amplitudes nearest to its rival.
 
     The mix that counts is the one closest to the rival, by generalised eigenvalues, among those
     that stand out of the noise by `root` with no amplitude beyond three prior standard deviations.
@@ -187,7 +187,7 @@ def advise_trials(
     candidates
         The same of each candidate trial, shape ``(n, r, q)``; NaN in one that has no prediction.
     pairs
-        What to tell apart.
+        What to distinguish.
     n_base, n_nuisances
         How many of the columns belong to the base parameters and to nuisances.
     n_trials

@@ -163,7 +163,7 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
     """Patterns smooth in load and flexion, for each coordinate, not whitened, shape ``(m, k)``.
 
     Along each kind of load ``m, |m|, m^2, sgn m`` and whether there is any, times powers of the
-    flexion up to its square, so that also misfit nobody listed is seen.
+    flexion up to its square, so that unlisted misfit is seen too.
 
     Parameters
     ----------

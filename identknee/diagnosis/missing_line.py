@@ -56,7 +56,7 @@ class CandidateLines:
     def close_to(self, line: int, distance: float) -> BoolArray:
         """Which lines have both ends closer to the `line` than a distance [mm], shape ``(m,)``.
 
-        The line goes on beyond its own ends: how far along it a force acts makes no difference.
+        The line extends beyond its own ends: how far along it a force acts makes no difference.
         """
         along = self.directions[line]
         is_close = np.ones(self.n, bool)

@@ -239,6 +239,8 @@ ROUNDED_SCORE = 1e-6
 ROUNDED_RESIDUAL = 1e-4
 # An effect that would be found this often counts as one the data can exclude.
 HIGH_POWER = 0.75
+# Share of data sets in which a detectable amplitude is found.
+DETECTED = 0.9
 POWER_DRAWS, POWER_SEED = 1000, 0
 # Prior standard deviations within which a detectable amplitude is looked for, and its precision.
 SMALLEST, LARGEST, PRECISION = 1e-4, 1e4, 1e-3
@@ -499,10 +501,8 @@ def detection_power(test: ScoreTest, signature: ProjectedSignature, amplitude: A
     )
 
 
-def detectable_amplitude(
-    test: ScoreTest, signature: ProjectedSignature, parameter: int, *, power: float = 0.9
-) -> float:
-    """Size of a single amplitude at which the test has that power.
+def detectable_amplitude(test: ScoreTest, signature: ProjectedSignature, parameter: int) -> float:
+    """Size of a single amplitude that the test finds in nine of ten data sets.
 
     Infinite where more than ten thousand prior standard deviations would be needed.
 
@@ -514,8 +514,6 @@ def detectable_amplitude(
         The variant supposed true, one of the test's; the others are not given credit.
     parameter
         Which of its amplitudes, in the direction of its sign, positive where it has none.
-    power
-        Share of data sets in which it is to be found.
     """
     sign = signature.signature.sign[parameter] or 1
     scale = float(signature.signature.prior_sd[parameter])
@@ -525,12 +523,12 @@ def detectable_amplitude(
     def found(multiple: float) -> float:
         return _detected_fraction(signature, draws + multiple * direction, threshold)
 
-    if found(LARGEST) < power:
+    if found(LARGEST) < DETECTED:
         return float("inf")
     low, high = SMALLEST, LARGEST
     while high > low * (1 + PRECISION):
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if found(middle) >= power else (middle, high)
+        low, high = (low, middle) if found(middle) >= DETECTED else (middle, high)
     return high * scale
 
 

@@ -71,7 +71,7 @@ class AttributionStep(CandidateCauses):
     """The scores at one fit, and the refits they suggest."""
 
     at: Refit = entry("The fit")
-    scores: Scores = entry("How strongly it speaks for each effect that is not in it")
+    scores: Scores = entry("How strongly it favours each effect that is not in it")
     refits: tuple[Refit, ...] = entry(
         "The fit extended by each promising effect, the highest evidence first"
     )
@@ -195,7 +195,11 @@ class _Sets:
                 self._found[key] = x
         self.best = self._base
         for size in range(1, MOST_CAUSES + 1):
-            own = [x for x in self._simple if len(x.causes) == size]
+            own = [
+                x
+                for x in self._found.values()
+                if len(x.causes) == size and not any(map(is_flexible, x.causes))
+            ]
             top = max(own, key=lambda x: x.log_evidence, default=self._base)
             if is_better(top, self.best, self._n_effects):
                 self.best = top
@@ -234,10 +238,6 @@ class _Sets:
         most = max(len(self.best.causes), 1)
         found = (x for x in self._found.values() if len(x.causes) <= most)
         return tuple(x for x in found if x is not self.best and x.causes)
-
-    @property
-    def _simple(self) -> list[Refit]:
-        return [x for x in self._found.values() if not any(map(is_flexible, x.causes))]
 
 
 def is_better(new: Refit, old: Refit, n_effects: int) -> bool:
@@ -286,7 +286,7 @@ def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...
     tuple of Refit
         The highest evidence first.
     """
-    tasks = [_Task.of(step, x, base) for x in _promising(step)]
+    tasks = [_Task.of(step, x, base) for x in _high_scoring(step)]
     begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
     best = max((x.log_evidence for x in begun), default=0.0)
     costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
@@ -310,7 +310,7 @@ def is_flexible(effect: Effect) -> bool:
     return effect.parameters.n > MOST_AMPLITUDES
 
 
-def _promising(step: AttributionStep) -> list[CandidateScore]:
+def _high_scoring(step: AttributionStep) -> list[CandidateScore]:
     found_high = [x for x in step.scores.candidates if x.score > LEAST_SCORE]
     if step.at.causes:
         by_name = {x.effect.name: x.effect for x in step.variants}
@@ -346,7 +346,7 @@ class _Task:
 
     def cost(self, begun: Refit) -> float:
         """What it takes to finish a refit, beside those of other effects."""
-        is_far = is_flexible(self.causes[-1]) and begun.promised_fall > NEARLY_DONE
+        is_far = is_flexible(self.causes[-1]) and begun.predicted_reduction > NEARLY_DONE
         return FAR_FROM_DONE if is_far else SIMPLE
 
     def begun(self, base: Refit) -> Refit:

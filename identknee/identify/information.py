@@ -138,7 +138,7 @@ def _difference(evaluator: Evaluator, at: Evaluation, i: int, step: float) -> Ar
 
 
 Scaling = Literal["typical", "prior"]
-# Pairs and triples worth saying.
+# Pairs and triples that are listed.
 MOST_COLLINEAR = 3
 # A share of a parameter in a direction that is not worth naming.
 NEGLIGIBLE_SHARE = 0.1

@@ -27,24 +27,6 @@ N_HALVINGS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BoxIntervals:
-    """95 % intervals of the components of a normal vector within bounds.
-
-    Attributes
-    ----------
-    lower, upper
-        Their ends, shape ``(p,)``.
-    is_lower_bound, is_upper_bound
-        Whether an end is the bound, which cuts off more than 2.5 %, shape ``(p,)``.
-    """
-
-    lower: Array
-    upper: Array
-    is_lower_bound: BoolArray
-    is_upper_bound: BoolArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Draws:
     """Weighted draws of some components within their bounds, in units of their Cholesky factor."""
 
@@ -78,25 +60,19 @@ def log_box_probability(mean: Array, covariance: Array, lower: Array, upper: Arr
     return float(logsumexp(drawn.log_weights) - np.log(N_POINTS))
 
 
-def box_intervals(mean: Array, covariance: Array, lower: Array, upper: Array) -> BoxIntervals:
-    """Intervals of every component, the others anywhere within their bounds.
+class BoxMarginals:
+    """95 % intervals of single components of a Gaussian vector, the others within their bounds.
 
     A bound that cuts off a tail of more than 2.5 % is the end of the interval. Exact where one
     component is cut off at most, else averaged over points of a Sobol sequence.
+
+    Parameters
+    ----------
+    mean, covariance
+        Of the vector, shapes ``(p,)`` and ``(p, p)``.
+    lower, upper
+        Bounds, perhaps infinite, shape ``(p,)``.
     """
-    marginals = _BoxMarginals(mean, covariance, lower, upper)
-    rows = [marginals.interval(i) for i in range(mean.size)]
-    low, high, is_low, is_high = zip(*rows, strict=True)
-    return BoxIntervals(
-        lower=np.array(low),
-        upper=np.array(high),
-        is_lower_bound=np.array(is_low),
-        is_upper_bound=np.array(is_high),
-    )
-
-
-class _BoxMarginals:
-    """Intervals of single components of a normal vector within bounds, see `box_intervals`."""
 
     def __init__(self, mean: Array, covariance: Array, lower: Array, upper: Array) -> None:
         self._mean, self._covariance, self._lower, self._upper = mean, covariance, lower, upper
@@ -255,50 +231,25 @@ class Laplace:
         for name in ("theta", "sd"):
             object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
 
-    def interval(self, i: int) -> tuple[float | None, float | None]:
-        """Ends of the interval of one parameter; None where the data give none."""
-        low, high, is_lower_open, is_upper_open = self._ends(i)
-        return None if is_lower_open else low, None if is_upper_open else high
+    def interval(self, i: int) -> Interval:
+        """Ends of the 95 % interval of one parameter; None where an end is no limit that data give.
 
-    @property
-    def lower(self) -> Array:
-        """Lower ends of the 95 % intervals, within the bounds, shape ``(p,)``."""
-        return np.array([self._ends(i)[0] for i in range(self.theta.size)])
-
-    @property
-    def upper(self) -> Array:
-        """Their upper ends, shape ``(p,)``."""
-        return np.array([self._ends(i)[1] for i in range(self.theta.size)])
-
-    @property
-    def is_lower_open(self) -> BoolArray:
-        """Whether a lower end is no limit that the data give, shape ``(p,)``.
-
-        It is a bound, or the estimate itself where the linear model puts the interval beside it.
+        Such an end is a bound; or the linear model puts the whole interval beside the estimate.
         """
-        return np.array([self._ends(i)[2] for i in range(self.theta.size)])
-
-    @property
-    def is_upper_open(self) -> BoolArray:
-        """Whether an upper end is no limit that the data give, shape ``(p,)``."""
-        return np.array([self._ends(i)[3] for i in range(self.theta.size)])
+        if i not in self._intervals:
+            self._intervals[i] = self._computed(i)
+        return self._intervals[i]
 
     @cached_property
-    def _marginals(self) -> _BoxMarginals:
-        x = self._near
-        return _BoxMarginals(x.middle, x.covariance, x.lower, x.upper)
-
-    @cached_property
-    def _known_ends(self) -> dict[int, tuple[float, float, bool, bool]]:
+    def _intervals(self) -> dict[int, Interval]:
         return {}
 
-    def _ends(self, i: int) -> tuple[float, float, bool, bool]:
-        """Ends of the interval of one parameter, and whether each is open."""
-        if i not in self._known_ends:
-            self._known_ends[i] = self._found_ends(i)
-        return self._known_ends[i]
+    @cached_property
+    def _marginals(self) -> BoxMarginals:
+        x = self._near
+        return BoxMarginals(x.middle, x.covariance, x.lower, x.upper)
 
-    def _found_ends(self, i: int) -> tuple[float, float, bool, bool]:
+    def _computed(self, i: int) -> Interval:
         low, high, is_lower_bound, is_upper_bound = self._marginals.interval(i)
         is_log, at = bool(self._parameters.is_log[i]), float(self.theta[i])
         prior_sd = float(self._parameters.prior_sd[i])
@@ -307,10 +258,11 @@ class Laplace:
         # A fit stopped before its minimum is not where the linear model puts the parameters, and
         # neither end of such an interval is known.
         slack = ROUNDING * float(self.sd[i]) / scale
-        is_beside = bool(low > point + slack or high < point - slack)
+        if low > point + slack or high < point - slack:
+            return None, None
         if is_log:
             low, high = float(np.exp(low)), float(np.exp(high))
-        return min(low, at), max(high, at), is_lower_bound or is_beside, is_upper_bound or is_beside
+        return None if is_lower_bound else min(low, at), None if is_upper_bound else max(high, at)
 
 
 def _gaussian(at: Evaluation, parameters: Parameters, is_active: BoolArray | None) -> LocalGaussian:

@@ -320,7 +320,7 @@ def _end(
         # Another seed, or a second look for a way around a cliff would be the first one again.
         further = fit(problem, end.theta, seed=own + 1)
         polished = further if further.objective < end.objective else end
-        # An end on a bound is moved inside, which may be beyond the cliff it stands on.
+        # An end on a bound is moved inside, which may be beyond the cliff at it.
         last = kind if further.outcome is Outcome.START_FAILED else further.outcome
         if last is Outcome.VALLEY:
             last = classify_end(problem, polished)

@@ -20,7 +20,6 @@ from .parameter_figures import prior_posterior_figure as prior_posterior_figure
 from .parameter_figures import profiles_figure as profiles_figure
 from .parameter_figures import ranges_figure as ranges_figure
 from .parameter_figures import sets_figure as sets_figure
-from .parameter_figures import smooth_edge as smooth_edge
 from .parameter_figures import spectrum_figure as spectrum_figure
 from .scene import draw_scene as draw_scene
 from .scene import view_from as view_from
@@ -28,6 +27,3 @@ from .sweep_figures import start_end_figure as start_end_figure
 from .sweep_figures import waterfall_figure as waterfall_figure
 from .tables import Column as Column
 from .tables import Table as Table
-from .tables import filled as filled
-from .tables import median_range as median_range
-from .tables import spread as spread

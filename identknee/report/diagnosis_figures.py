@@ -182,7 +182,7 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     """What is left of the data against what the leading cause would leave, by flexion.
 
     Both without what the fitted parameters explain. A cause that is right puts all points on the
-    line; clusters of one angle away from it speak against it.
+    line; clusters of one angle away from it contradict it.
     """
     expected, left, flexion = added.expected, added.left, shown_flexion(added.flexion_deg)
     figure = Figure(figsize=(5.0, 4.4), layout="constrained")

@@ -1,7 +1,7 @@
 """Colours, markers, sizes and frames that all figures share.
 
-Colours are those of Okabe and Ito, which the colour-blind tell apart, and always come with a marker
-or a label.
+Colours are those of Okabe and Ito, distinct for the colour-blind, and always come with a marker or
+a label.
 """
 
 import io
@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.artist import Artist
@@ -53,9 +53,12 @@ def legend_below(
     )
 
 
-def bare(axes: Axes) -> None:
-    """Axes without a frame above and on the right."""
+def bare(axes: Axes, grid: Literal["x", "y"] | None = None) -> None:
+    """Axes without a frame above and on the right, with pale lines across one of them."""
     axes.spines[["top", "right"]].set_visible(False)
+    if grid is not None:
+        axes.grid(axis=grid, color="0.92")
+        axes.set_axisbelow(True)
 
 
 DOTS_PER_INCH, DOTS_IN_NOTEBOOK = 150, 110
@@ -86,7 +89,7 @@ def png(figure: Figure, dots: int = DOTS_PER_INCH) -> bytes:
 
 
 def show_figures() -> None:
-    """Let a notebook show figures as pictures, also where nobody imported pyplot."""
+    """Let a notebook show figures as pictures, also where pyplot was not imported."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is None:
         return

@@ -29,14 +29,14 @@ MOST_BYTES = 130_000
 SHARPNESS = (110, 90, 70, 50, 35)
 
 
-def result_of(answer: Answer, folder: Path | None = None) -> Result:
-    """The answer as the report takes it, as if it had been read from `folder`."""
+def result_of(answer: Answer) -> Result:
+    """The answer as the report takes it, as if it had been read from a folder."""
     made = (
         answer.record
         or record(next(verbs_with_answer(type(answer).__name__)).name, {}, {}).finish()
     )
     summary = {**summary_of(answer), "record": made.to_dict()}
-    return Result(folder=folder or Path(made.verb), summary=summary, answer=answer)
+    return Result(folder=Path(made.verb), summary=summary, answer=answer)
 
 
 def answer_html(answer: Answer) -> str:

@@ -41,19 +41,19 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
         if not own:
             continue
         kind = own[0].kind
-        told = [x for x in own if kind.lead and x.kind.lead == kind.lead] or own[:1]
-        if command and "command" in told[0].values:
-            values = {**told[0].values, "command": command}
-            told = [replace(told[0], sentence=kind.template.format(**values), values=values)]
+        leading = [x for x in own if kind.lead and x.kind.lead == kind.lead] or own[:1]
+        if command and "command" in leading[0].values:
+            values = {**leading[0].values, "command": command}
+            leading = [replace(leading[0], sentence=kind.template.format(**values), values=values)]
             is_command_said = True
         if kind.lead:
-            sentences.append(kind.sentence(*(x.detail for x in told)))
-            brief.append(kind.sentence(told[0].detail))
+            sentences.append(kind.sentence(*(x.detail for x in leading)))
+            brief.append(kind.sentence(leading[0].detail))
         else:
-            sentences.append(told[0].sentence)
-            brief.append(told[0].sentence)
-        # An error of the data is no less of one after its misfit was told.
-        said += [*told, *(x for x in own if x.severity is not Severity.ERROR)]
+            sentences.append(leading[0].sentence)
+            brief.append(leading[0].sentence)
+        # An error of the data is no less of one after its misfit was stated.
+        said += [*leading, *(x for x in own if x.severity is not Severity.ERROR)]
     n_brief = len(brief)
     if sentences and not is_command_said:
         sentences.append(f"Next: {command}")

@@ -8,7 +8,7 @@ from math import inf, isinf, sqrt
 
 import numpy as np
 
-from identknee.checks.fit_checks import ALIKE
+from identknee.checks.fit_checks import ALIKE, SAME
 from identknee.diagnosis.verdict import Verdict
 from identknee.identify.sweep import WITHIN
 from identknee.laxity.protocol import FLEXION, LOADS
@@ -24,7 +24,6 @@ from identknee.report.presenter import (
     presenter_of,
     statements_of,
 )
-from identknee.report.questions import question_sentences
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import doubt_of
 from identknee.runs.record import Outcome
@@ -34,12 +33,14 @@ from identknee.runs.words import (
     interval,
     label_without_unit,
     listed,
+    listed_first,
     parameter_words,
     unit_of,
 )
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
+from identknee.verbs.question import Question
 from identknee.verbs.sweep import Sweep
 
 # Ends as near as this share of a set's width are the same for every purpose.
@@ -135,17 +136,17 @@ def reasons(agreements: Iterable[Agreement]) -> str:
     if len(sources) < 2:
         return ""
     differing = {x.source for own in seen for x, _ in own.differing}
-    said = [f"Methods compared: {listed(x.value for x in sources)}."]
-    said += [_WHY[x] for x in sources if x in differing and x in _WHY]
+    sentences = [f"Methods compared: {listed(x.value for x in sources)}."]
+    sentences += [_WHY[x] for x in sources if x in differing and x in _WHY]
     if any(x.status == NOT_CONVERGED for x in ranges):
-        said.append("The posterior has not converged yet.")
+        sentences.append("The posterior has not converged yet.")
     scales = sorted({x.reach for x in ranges if x.reach not in (None, 1.0)} - {None})
-    said += [
+    sentences += [
         f"Equivalent sets reach to {x:.2g} times the squared misfit that ends a 95 % set; for the "
         "comparison they are scaled to the same misfit."
         for x in scales
     ]
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 _WHY = {
@@ -171,7 +172,7 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
 
 
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
-    """By the name of a parameter or force, what each method says of it, the most telling first.
+    """By the name of a parameter or force, what each method says of it, the most informative first.
 
     If two answers are of one kind, the later counts.
     """
@@ -323,6 +324,58 @@ def _disagreement(fits: Mapping[str, Calibration]) -> str:
     return f"Different starts end at different parameters: {'; '.join(clauses)}."
 
 
+def stale_answers(answers: Sequence[Answer]) -> dict[int, Answer]:
+    """Places of answers at a best fit that another one undercuts, with the lowest such other.
+
+    Both were asked the same question. Fits alone from several starts are compared elsewhere.
+    """
+    found = {}
+    for place, own in enumerate(answers):
+        others = [
+            x
+            for x in answers
+            if x.best_deviance < own.best_deviance - SAME
+            and not (isinstance(x, Calibration) and isinstance(own, Calibration))
+            and _differences(own.question, x.question) == ()
+        ]
+        if others:
+            found[place] = min(others, key=lambda x: x.best_deviance)
+    return found
+
+
+def question_sentences(answers: Sequence[Answer]) -> Iterator[str]:
+    """Which answers are out of date, and in what the questions of the others differ."""
+    for place, better in stale_answers(answers).items():
+        own = answers[place]
+        yield (
+            f"{_verb(own).capitalize()} rests on a fit of deviance {own.best_deviance:.4g}, and "
+            f"{_verb(better)} found one of {better.best_deviance:.4g}: {_verb(own)} is out of "
+            "date and should be run again."
+        )
+    asked = [x for x in answers if x.question is not None]
+    if len(asked) < 2:
+        return
+    groups: dict[tuple[str, ...], list[str]] = {}
+    first = asked[0]
+    for x in asked[1:]:
+        if differences := _differences(first.question, x.question):
+            groups.setdefault(differences, []).append(_verb(x))
+    for differences, verbs in groups.items():
+        yield (
+            f"{listed(dict.fromkeys(verbs)).capitalize()} and {_verb(first)} were asked different "
+            f"questions: they differ in {listed(differences)}."
+        )
+
+
+def _differences(one: Question | None, other: Question | None) -> tuple[str, ...] | None:
+    """In what two questions differ; None where one is not known."""
+    return None if one is None or other is None else one.differences(other)
+
+
+def _verb(answer: Answer) -> str:
+    return "a fit" if answer.record is None else answer.record.verb
+
+
 MOST_NAMED = 3
 KNOWN = ("known", "probable", "known locally")
 FORCE = ".tension_N@"
@@ -401,7 +454,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
         questions=tuple(question_sentences(answers)),
-        next_tests=tuple(said for x in answers for said in presenter_of(x).next_tests(x)),
+        next_tests=tuple(test for x in answers for test in presenter_of(x).next_tests(x)),
     )
 
 
@@ -440,15 +493,17 @@ def _verdict(
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]
     moved = [x.name for x in rows if x.found.is_moved_by_cause]
-    said = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
+    sentences = [x for x in (model, _known(rows, unknown, diagnosis, opening)) if x]
     doubts = [f"methods contradict one another on {_named(contradicted)}"] * bool(contradicted)
     doubts += [f"with the cause {_named(moved)} lies outside its set"] * bool(moved)
     doubts += ["fits from different starts end at different parameters"] * bool(differ)
     if tone is Tone.GOOD and (unknown or doubts):
         tone = Tone.OPEN
     if doubts:
-        said.append(f"However, {listed(doubts)}." if said else f"{capitalised(listed(doubts))}.")
-    return " ".join(said), tone
+        sentences.append(
+            f"However, {listed(doubts)}." if sentences else f"{capitalised(listed(doubts))}."
+        )
+    return " ".join(sentences), tone
 
 
 def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
@@ -460,8 +515,7 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
         return diagnosis.verdict.sentence, Tone.OPEN
     if diagnosis.verdict is Verdict.NAMED:
         names = listed(map(cause_label, diagnosis.cause_names))
-        said = f"A misfit is detected. Only one known cause fits: {names}."
-        return said, Tone.WRONG
+        return f"A misfit is detected. Only one known cause fits: {names}.", Tone.WRONG
     return diagnosis.sentence, Tone.WRONG
 
 
@@ -488,14 +542,12 @@ def _known(
     words = {x.status for x in unknown}
     names, n_known = _named([x.name for x in unknown]), n - len(unknown)
     share = f"{n_known or 'None'} of {n} parameters {'is' if n_known < 2 else 'are'}"
-    said = f"{share} known within limits{proviso}"
+    known = f"{share} known within limits{proviso}"
     if words == {NOT_CONVERGED}:
-        return f"{said}; the posterior of {names} has not converged yet."
+        return f"{known}; the posterior of {names} has not converged yet."
     state = words.pop() if len(words) == 1 else "not"
-    return f"{said}; {names} {'is' if len(unknown) == 1 else 'are'} {state}."
+    return f"{known}; {names} {'is' if len(unknown) == 1 else 'are'} {state}."
 
 
 def _named(names: Sequence[str]) -> str:
-    shown = [parameter_words(x) for x in names[:MOST_NAMED]]
-    more = len(names) - len(shown)
-    return listed([*shown, *([f"{more} more"] if more else [])])
+    return listed_first([parameter_words(x) for x in names], MOST_NAMED)

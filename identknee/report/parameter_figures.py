@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-import scipy.interpolate
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -157,29 +156,10 @@ def intervals_figure(
         axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
         axes.set_ylim(len(group) - 0.5, -0.5)
         axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
-        axes.grid(axis="x", color="0.92")
-        axes.set_axisbelow(True)
-        bare(axes)
+        bare(axes, grid="x")
         axes.tick_params(labelsize=8)
-    handles, labels = grid[0].get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))
-    figure.legend(
-        named.values(), list(named), loc="outside upper center", ncols=6, frameon=False, fontsize=8
-    )
+    _legend_above(figure, grid[0], columns=6, fontsize=8)
     return figure
-
-
-def smooth_edge(edge: Array) -> Array:
-    """Many points on a closed smooth curve through the edge of a set, shape ``(k, 2)``.
-
-    An edge with gaps, where NaN stands, is given back as it is, closed.
-    """
-    closed = np.vstack([edge, edge[:1]])
-    if not np.isfinite(edge).all():
-        return closed
-    steps = np.arange(len(closed))
-    curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
-    return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
 
 
 def nested(profile: Profile) -> dict[float, tuple[Interval, ...]]:
@@ -198,10 +178,10 @@ def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
 
 
 def _panels(
-    n: int, size: tuple[float, float], around: tuple[float, float]
+    n: int, size: tuple[float, float], around: tuple[float, float], across: int = COLUMNS
 ) -> tuple[Figure, list[Axes]]:
     """A figure of `n` panels in rows, of so many inches each and so many more in all."""
-    columns = min(n, COLUMNS)
+    columns = min(n, across)
     rows = -(-n // columns)
     whole = (around[0] + size[0] * columns, around[1] + size[1] * rows)
     figure = Figure(figsize=whole, layout="constrained")
@@ -249,12 +229,12 @@ def prior_posterior_figure(
             axes.axvline(
                 float(np.asarray(truth)[i]), color=BLACK, linewidth=1.0, label="true value"
             )
-        axes.set_xlabel(_label(name), fontsize=SMALL)
+        axes.set_xlabel(words.label(name), fontsize=SMALL)
         axes.set_yticks([])
         axes.set_ylim(bottom=0.0)
         axes.tick_params(labelsize=SMALL)
         axes.spines[["top", "right", "left"]].set_visible(False)
-    _shared_legend(figure, panels[0])
+    _legend_above(figure, panels[0])
     return figure
 
 
@@ -351,15 +331,13 @@ def forces_figure(
         axes.set_title(ligaments[j], fontsize=10)
         axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
         axes.tick_params(labelsize=SMALL)
-        axes.grid(axis="y", color="0.93")
-        axes.set_axisbelow(True)
-        bare(axes)
+        bare(axes, grid="y")
     largest = float(np.max(np.abs(quantiles - quantiles[..., 2:3])))
     # Room for the medians on the right.
     panels[0].set_xlim(-1.1 * largest, 1.8 * largest)
     panels[0].set_ylim(len(trials) - 0.4, -0.6)
     panels[0].set_yticks(rows, trials)
-    _shared_legend(figure, panels[0])
+    _legend_above(figure, panels[0])
     return figure
 
 
@@ -370,24 +348,26 @@ def _range(*samples: Array) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _shared_legend(figure: Figure, axes: Axes) -> None:
+def _legend_above(
+    figure: Figure, axes: Axes, *, columns: int | None = None, fontsize: int = 9
+) -> None:
+    """A legend of the whole figure above its panels, each label of this one once."""
     handles, labels = axes.get_legend_handles_labels()
+    named = dict(zip(labels, handles, strict=True))
     figure.legend(
-        handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=9
+        named.values(),
+        list(named),
+        loc="outside upper center",
+        ncols=columns or len(named),
+        frameon=False,
+        fontsize=fontsize,
     )
-
-
-def _label(name: str) -> str:
-    """A parameter's name with its unit in brackets."""
-    words, _, unit = name.rpartition("_")
-    units = {"kN": "kN", "pct": "%"}
-    return f"{words.replace('.', ' ').replace('_', ' ')} [{units[unit]}]" if unit in units else name
 
 
 def _on_two_lines(name: str) -> str:
     """Whose parameter it is, and below that what it is with its unit."""
     owner, _, quantity = name.rpartition(".")
-    return f"{owner}\n{_label(quantity)}"
+    return f"{owner}\n{words.label(quantity)}"
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:
@@ -423,9 +403,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
     scaling = next(iter(found.values())).scaling
     unit = {"typical": "typical step", "prior": "prior sd"}[scaling]
     axes.set_ylabel(f"eigenvalue of the information [per squared {unit}]")
-    axes.grid(axis="y", color="0.92")
-    axes.set_axisbelow(True)
-    bare(axes)
+    bare(axes, grid="y")
     return figure
 
 
@@ -546,13 +524,11 @@ def ranges_figure(
         axes.plot([value, value], [row - 0.42, row + 0.42], color=BLACK, linewidth=1.4)
     axes.set_yticks(rows, list(names), fontsize=SMALL)
     axes.set_ylim(n - 0.4, -0.6)
-    axes.grid(axis="x", color="0.92")
-    axes.set_axisbelow(True)
+    bare(axes, grid="x")
     axes.set_xlabel(unit)
     handles, _ = axes.get_legend_handles_labels()
     handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label="fit"))
     legend_below(figure, handles, columns=4)
-    bare(axes)
     return figure
 
 
@@ -587,9 +563,10 @@ def _on_three_lines(name: str) -> str:
     return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
 
 
-# From nothing to everything: dark means much, and grey prints tell the same.
+# From nothing to everything: dark means much, in grey prints too.
 MAP = "viridis_r"
-MAPS_ACROSS = 2
+# Panels side by side, and inches of them together, enough for the names in the legend.
+MAPS_ACROSS, WIDTH = 2, 9.0
 
 
 def effects_figure(
@@ -605,14 +582,9 @@ def effects_figure(
     parameters
         Their names.
     """
-    n = len(panels)
-    rows = -(-n // MAPS_ACROSS)
-    figure = Figure(figsize=(9.0, 0.6 + 3.2 * rows), layout="constrained")
-    grid = list(figure.subplots(rows, MAPS_ACROSS, squeeze=False).ravel())
-    for axes in grid[n:]:
-        axes.set_axis_off()
-    figure, grid = (figure, grid)
-    for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=False):
+    across = min(len(panels), MAPS_ACROSS)
+    figure, grid = _panels(len(panels), (WIDTH / across, 3.2), (0.0, 0.6), across)
+    for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=True):
         # One trajectory has no spread and no interval.
         far = np.concatenate([size + np.nan_to_num(half_width), spread])
         top = 1.12 * float(far[np.isfinite(far)].max(initial=1e-12))

@@ -92,7 +92,7 @@ NOT_CONVERGED = "not converged"
 
 @unique
 class Source(Enum):
-    """A method, the most telling first; the value is its name in a sentence."""
+    """A method, the most informative first; the value is its name in a sentence."""
 
     PROFILE = "profile"
     POSTERIOR = "posterior"
@@ -199,7 +199,7 @@ class Presenter(Generic[Given]):
         )
 
     def drawings(self, _answer: Given, _subject: str, _knee: Knee | None) -> Iterator[Drawing]:
-        """All figures, the most telling first, with name and knee of the subject if known."""
+        """All figures, the most informative first, with name and knee of the subject if known."""
         yield from ()
 
     def curves(self, _answer: Given, _beside: Sequence[Answer]) -> "LaxityCurves | None":

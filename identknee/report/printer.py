@@ -57,10 +57,10 @@ def brief_lines(answer: Answer) -> list[str]:
     # One line less on a screen; between statements the empty line is needed.
     lines[-1] = lines[-1].rstrip("\n")
     rest = by_severity(opening.without(answer.findings))
-    telling = [x for x in rest if x.severity is not Severity.INFO]
+    serious = [x for x in rest if x.severity is not Severity.INFO]
     # However many there are, no error goes by.
-    n_errors = sum(x.severity is Severity.ERROR for x in telling)
-    shown = telling[: max(MOST_FINDINGS - opening.n_brief, n_errors)]
+    n_errors = sum(x.severity is Severity.ERROR for x in serious)
+    shown = serious[: max(MOST_FINDINGS - opening.n_brief, n_errors)]
     lines += [_brief_line(x) for x in shown]
     counts = {
         "finding": len(without_repeats(answer.findings)) - opening.n_brief - len(shown),

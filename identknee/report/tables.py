@@ -1,63 +1,11 @@
 """Results as tables: rows of text and numbers, each column with its unit."""
 
 import math
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
 from typing_extensions import override
-
-BOOTSTRAP_DRAWS = 9999
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
-    """Median and spread of some values.
-
-    Attributes
-    ----------
-    median, low, high
-        Median, smallest and largest.
-    ci_low, ci_high
-        95 % bootstrap interval of the median.
-    n
-        How many values; those not finite are left out and not counted.
-    """
-
-    median: float
-    low: float
-    high: float
-    ci_low: float
-    ci_high: float
-    n: int
-
-
-def spread(values: ArrayLike, *, seed: int = 0) -> Spread:
-    """Median, range and 95 % percentile-bootstrap interval of the median; NaN without values.
-
-    Examples
-    --------
-    >>> spread([1.0, 2.0, 9.0]).median
-    2.0
-    """
-    known = np.asarray(values, float)
-    known = known[np.isfinite(known)]
-    if not known.size:
-        return Spread(median=np.nan, low=np.nan, high=np.nan, ci_low=np.nan, ci_high=np.nan, n=0)
-    rows = np.random.default_rng(seed).integers(known.size, size=(BOOTSTRAP_DRAWS, known.size))
-    low, high = np.quantile(np.median(known[rows], axis=1), [0.025, 0.975])
-    return Spread(
-        median=float(np.median(known)),
-        low=float(known.min()),
-        high=float(known.max()),
-        ci_low=float(low),
-        ci_high=float(high),
-        n=int(known.size),
-    )
-
 
 Cell = str | float | int | None
 # That a notebook shows.
@@ -195,46 +143,6 @@ def table(
     """
     columns = tuple(Column(x) if isinstance(x, str) else Column(*x) for x in heads)
     return Table(title=title, columns=columns, rows=tuple(map(tuple, rows)), most=most)
-
-
-def filled(text: str, tables: Mapping[str, "Table | str"]) -> str:
-    """`text` with each table between ``<!-- NAME -->`` and ``<!-- end NAME -->`` put in anew.
-
-    Words in place of a table are put in as they are.
-
-    Raises
-    ------
-    ValueError
-        If the text has no such place for a table.
-    """
-    for name, table in tables.items():
-        place = re.compile(
-            rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end {re.escape(name)} -->)", re.DOTALL
-        )
-        content = table if isinstance(table, str) else table.markdown()
-        whole = content.replace("\\", "\\\\")
-        text, count = place.subn(rf"\g<1>{whole}\n\g<2>", text)
-        if count != 1:
-            raise ValueError(
-                f"the text has {count} places for {name!r}; mark one with <!-- {name} --> and "
-                f"<!-- end {name} -->"
-            )
-    return text
-
-
-def median_range(values: Spread, decimals: int = 2) -> str:
-    """A spread as text: the median, and the range in brackets.
-
-    Examples
-    --------
-    >>> from identknee.report.tables import spread
-    >>> median_range(spread([1.0, 2.0, 9.0]), 1)
-    '2.0 [1.0, 9.0]'
-    """
-    if not values.n:
-        return "-"
-    low, high = f"{values.low:.{decimals}f}", f"{values.high:.{decimals}f}"
-    return f"{values.median:.{decimals}f} [{low}, {high}]"
 
 
 def _text(cell: Cell, column: Column) -> str:

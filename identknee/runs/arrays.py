@@ -41,7 +41,7 @@ def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
     >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
     False
     """
-    # As this function gives it: nobody else can change its numbers.
+    # As this function gives it: its numbers cannot be changed elsewhere.
     if type(values) is np.ndarray and values.base is None and values.dtype.char == "d":
         is_read_only = values.flags.c_contiguous and not values.flags.writeable
         if is_read_only and _fits(values.shape, shape):

@@ -27,7 +27,7 @@ MOST_FILES = 20
 
 
 def log_folder() -> Path:
-    """The folder for what goes to nobody's terminal, below ``IDENTKNEE_CACHE`` if that is set."""
+    """The folder for what is not shown on a terminal, below ``IDENTKNEE_CACHE`` if that is set."""
     kept = os.environ.get("IDENTKNEE_CACHE")
     return Path(kept) / "log" if kept else user_log_path("identknee")
 
@@ -47,7 +47,7 @@ def report_unexpected_error(
         Where the report belongs; the folder of logs where there is none or it cannot be written.
     """
     what = " ".join(traceback.format_exception_only(error)[-1].split())
-    said = f"unexpected error ({what[:200]})"
+    sentence = f"unexpected error ({what[:200]})"
     for place in (folder, log_folder()):
         if place is None:
             continue
@@ -58,8 +58,8 @@ def report_unexpected_error(
             path = write_atomically(place / name, _report(error, settings))
         except (OSError, InputError):
             continue
-        return f"{said}. Please send {path} to the maintainers of identknee"
-    return f"{said}. Please tell the maintainers of identknee"
+        return f"{sentence}. Please send {path} to the maintainers of identknee"
+    return f"{sentence}. Please tell the maintainers of identknee"
 
 
 @contextmanager

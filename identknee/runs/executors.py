@@ -15,7 +15,7 @@ import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -53,15 +53,25 @@ def use_one_library_thread() -> Any:
 @contextmanager
 def one_library_thread() -> Iterator[None]:
     """Context in which linear algebra keeps to the calling thread."""
-    before = {name: os.environ.get(name) for name in LIBRARY_THREADS}
-    limits = use_one_library_thread()
+    with _environment(dict.fromkeys(LIBRARY_THREADS, "1")):
+        limits = use_one_library_thread()
+        try:
+            yield
+        finally:
+            limits.restore_original_limits()
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Context in which variables of the environment have these values."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
-        limits.restore_original_limits()
         for name, value in before.items():
             if value is None:
-                del os.environ[name]
+                os.environ.pop(name, None)
             else:
                 os.environ[name] = value
 
@@ -123,7 +133,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
         line,
         ours,
         tempfile.TemporaryDirectory(prefix="identknee-", ignore_cleanup_errors=True) as folder,
-        _named_to_workers(folder),
+        _environment({POOL: folder}),
     ):
         pool = ProcessPoolExecutor(
             n_workers,
@@ -188,21 +198,8 @@ class _Processes:
 # What workers leave in the folder of their pool: that one has started, and that one was about to
 # start workers of its own because it imported a script without a guard.
 STARTED, UNGUARDED = "started", "unguarded"
-# Where a worker finds that folder before it is told.
+# The variable by which a worker finds that folder while it is being started.
 POOL = "IDENTKNEE_POOL"
-
-
-@contextmanager
-def _named_to_workers(folder: str) -> Iterator[None]:
-    before = os.environ.get(POOL)
-    os.environ[POOL] = folder
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(POOL, None)
-        else:
-            os.environ[POOL] = before
 
 
 def _end_if_importing_script() -> None:

@@ -204,7 +204,7 @@ def planned(
         relative to those of the other maps. Items beyond cost as much as the last; maps not named
         cost nothing.
     shorter
-        How the work could be shortened, said once if it turns out to take minutes.
+        How the work could be shortened, written once if it turns out to take minutes.
     """
     if _plans:
         yield
@@ -322,11 +322,11 @@ class _DelayedBar:
         if self._shown is None:
             return
         bar, task = self._shown
-        said: dict[str, Any] = {"left": self._left, "note": self._note}
+        texts: dict[str, Any] = {"left": self._left, "note": self._note}
         if self._share:
-            bar.update(task, total=1.0, completed=self._share, **said)
+            bar.update(task, total=1.0, completed=self._share, **texts)
         else:
-            bar.update(task, completed=self._done, **said)
+            bar.update(task, completed=self._done, **texts)
 
     def close(self) -> None:
         if self._shown is not None:

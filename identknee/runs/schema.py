@@ -27,6 +27,8 @@ from identknee.runs.errors import InputError, suggestion
 from identknee.runs.files import PathLike, check_readable
 
 LONGEST_SHOWN = 60
+# Largest JSON file that is read.
+LARGEST_JSON_MB = 512
 _WANTED = {
     "string_type": "text",
     "bool_type": "true or false",
@@ -149,16 +151,16 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
         raise InputError(file, "", f"this is not TOML: {error}", remedy) from error
 
 
-def read_json(path: PathLike, remedy: str, limit_mb: float = 512) -> Any:
+def read_json(path: PathLike, remedy: str) -> Any:
     """The content of a JSON file.
 
     Raises
     ------
     InputError
-        With this remedy, if it cannot be read, is larger than `limit_mb` [MB], no JSON or holds
+        With this remedy, if it cannot be read, is larger than 512 MB, no JSON or holds
         text that cannot be written again.
     """
-    file = check_readable(path, limit_mb)
+    file = check_readable(path, LARGEST_JSON_MB)
     try:
         values = json.loads(file.read_text(encoding="utf-8"))
         json.dumps(values, ensure_ascii=False).encode()

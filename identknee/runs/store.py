@@ -1,4 +1,4 @@
-"""Unfinished work kept in a file, so that the same command goes on where it stopped."""
+"""Unfinished work kept in a file, so that the same command resumes where it stopped."""
 
 import json
 import sqlite3

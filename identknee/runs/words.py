@@ -1,6 +1,6 @@
 """Names and numbers in words that need no manual."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 MOTIONS = {"varus_deg": "varus angulation", "internal_deg": "internal rotation"}
 UNITS = {"pct": "%", "Nm": "N·m"}
@@ -83,6 +83,18 @@ def label(name: str) -> str:
     words = contact_words(quantity) or words.replace(".", " ").replace("_", " ")
     plain = f"{words} [{UNITS.get(unit, unit)}]"
     return f"{plain} in {trial}" if at else plain
+
+
+def listed_first(names: Sequence[str], most: int) -> str:
+    """The first of some names as a list, and how many more there are.
+
+    Examples
+    --------
+    >>> listed_first(["a", "b"], 2), listed_first(["a", "b", "c"], 2)
+    ('a and b', 'a, b and 1 more')
+    """
+    more = len(names) - most
+    return listed([*names[:most], *([f"{more} more"] if more > 0 else [])])
 
 
 def amplitude_label(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Places on a knee that its own surfaces, frames and insertions tell, its lines called anything.
+"""Places on a knee from its own surfaces, frames and insertions, whatever its lines are called.
 
 Lengths taken from the literature or estimated are those of a knee whose plateaus are
 `TYPICAL_WIDTH` wide together and grow with the subject's knee.

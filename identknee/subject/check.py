@@ -354,7 +354,7 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
             yield bone, axis, angle_between(given.axes[row], made.axes[row])
 
 
-# Triangles of the closest tenth tell how two surfaces face each other where they are in contact.
+# Triangles of the closest tenth show how two surfaces face each other where they are in contact.
 CLOSEST_SHARE = 0.1
 # Of a surface with more triangles or vertices than this, as segmentation gives it, so many are
 # looked at, drawn at random: where two bones face each other there still are a thousand, and only
@@ -409,7 +409,7 @@ def facing_normals(surface: Surface, other: Surface) -> Array:
 
 
 def _looked_at(n: int) -> IntArray:
-    """Which of so many triangles or vertices tell how a surface faces another."""
+    """Which of so many triangles or vertices show how a surface faces another."""
     if n <= MOST_WHOLE:
         return np.arange(n)
     return np.random.default_rng(0).choice(n, LOOKED_AT, replace=False)

@@ -396,7 +396,7 @@ def example(name: str) -> Knee:
     ----------
     name
         ``"reference"``, ``"lenhart2015"``, ``"lenhart2015_stable"``, ``"s192803"`` or
-        ``"s192803_bundles"``; ``identknee subject list`` tells source and licence of each.
+        ``"s192803_bundles"``; ``identknee subject list`` gives source and licence of each.
 
     Raises
     ------

@@ -4,7 +4,7 @@ Distances are those of a knee of typical size; `Anatomy.size` adapts them. What 
 give is called an estimate: it comes from the segmented ligaments of one knee [1]_ or is ours.
 
 Ligaments are attached beside the cartilage, where the subject's surfaces end. The bone there is
-drawn from what the surfaces, the flexion axis and the known insertions tell; its shape is an
+drawn from what the surfaces, the flexion axis and the known insertions imply; its shape is an
 estimate.
 
 References
@@ -218,7 +218,7 @@ def _below_rim(knee: Knee, found: Anatomy, side: Compartment, angle: float, dept
 
 
 def _depth_below(knee: Knee, beside: float) -> Callable[[Site], float]:
-    """A function that tells how deep a line runs below the femur's articular surface [mm].
+    """A function for how deep a line runs below the femur's articular surface [mm].
 
     Points further than `beside` [mm] past the rim of the surface do not count.
     """
@@ -384,7 +384,7 @@ DOME = 28.0
 REAR_ANGLES = (95.0, 115.0, 135.0, 155.0)
 REAR_ACROSS = (-0.4, 0.0, 0.4)
 # The walls of the notch from the flexion axis [mm], and across in half distances of the condyles
-# where no cruciate ligament tells.
+# where there is no cruciate ligament.
 NOTCH_X, NOTCH_Y = (-14.0, 10.0), (-10.0, 8.0)
 NOTCH_ACROSS = 0.45
 # Angles around the plateaus [deg] and depths below their rims [mm]. Downwards the tibia narrows:

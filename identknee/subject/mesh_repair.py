@@ -188,7 +188,7 @@ def _longest(vertices: Array, faces: IntArray, chosen: BoolArray) -> dict[int, t
 
 
 def wound_otherwise(vertices: Array, faces: IntArray) -> BoolArray:
-    """Which triangles are wound otherwise than most of the area that hangs together with them.
+    """Which triangles are wound otherwise than most of the area that is connected with them.
 
     None is where no way of turning them makes all neighbours agree.
     """

@@ -56,7 +56,7 @@ def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
     model
         The model.
     side
-        Which knee, where it has two; also of which side a knee is whose names do not tell it.
+        Which knee, where it has two; also the side of a knee whose names do not state one.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
 
 
 def side_in(name: str) -> Side | None:
-    """The side that a name of the model tells; None where it tells none.
+    """The side that a name of the model states; None where it states none.
 
     Examples
     --------
@@ -210,27 +210,27 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
     """
     model = bones.model
     lines: list[OsimLine] = []
-    told: dict[str, list[str]] = {x: [] for x in (OFF, MOVING, WRAPPED, OTHER_TOE, CONDITIONAL)}
+    remarks: dict[str, list[str]] = {x: [] for x in (OFF, MOVING, WRAPPED, OTHER_TOE, CONDITIONAL)}
     for element in model.all_of(LIGAMENT_CLASS):
         ends, name = ends_of(bones, element), element.get("name", "")
         if len(ends) < 2:
             continue
         kinds = {end.element.tag for end in ends.values()}
         if is_off(element) or "MovingPathPoint" in kinds:
-            told[OFF if is_off(element) else MOVING].append(name)
+            remarks[OFF if is_off(element) else MOVING].append(name)
             continue
         places = {x: end.frame(model.vector(end.element, "location")) for x, end in ends.items()}
         ligament = _ligament(model, element, places)
         lines.append(OsimLine(ligament=ligament, element=element, ends=ends))
         wrap = element.find("GeometryPath/PathWrapSet/objects/PathWrap")
         if len(element.findall("GeometryPath/PathPointSet/objects/*")) > 2 or wrap is not None:
-            told[WRAPPED].append(name)
+            remarks[WRAPPED].append(name)
         if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
-            told[OTHER_TOE].append(name)
+            remarks[OTHER_TOE].append(name)
         if "ConditionalPathPoint" in kinds:
-            told[CONDITIONAL].append(name)
+            remarks[CONDITIONAL].append(name)
     if not lines:
-        off = [*told[OFF], *told[MOVING]]
+        off = [*remarks[OFF], *remarks[MOVING]]
         why = f"no {LIGAMENT_CLASS} leads from the femur to the tibia"
         switched = f"all of class {LIGAMENT_CLASS} are switched off or have a moving end"
         raise model.refusal(
@@ -244,7 +244,7 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
             why=why,
             is_line=True,
         )
-        for why, names in told.items()
+        for why, names in remarks.items()
         if names
     ]
 
@@ -258,6 +258,12 @@ def other_ligaments(bones: Bones) -> list[Element]:
         and not is_muscle(x)
         and set(ends_of(bones, x)) == {"femur", "tibia"}
     ]
+
+
+def unread_names(bones: Bones, not_taken: Sequence[NotTaken]) -> list[str]:
+    """Names of the ligaments between femur and tibia that the model has and that are not read."""
+    left_out = [name for x in not_taken if x.change == "left out" for name in x.names]
+    return left_out + [x.get("name", "") for x in other_ligaments(bones)]
 
 
 def is_muscle(force: Element) -> bool:
@@ -442,10 +448,9 @@ def imported_knee(
     meshes = contact_meshes(model)
     lines, not_taken = lines_of(bones)
     ligaments = [x.ligament for x in lines]
-    told = [f"{capitalised(x.why)}: {', '.join(x.names)}." for x in not_taken]
+    remarks = [f"{capitalised(x.why)}: {', '.join(x.names)}." for x in not_taken]
     if bundles == "merged":
-        missing = [name for x in not_taken if x.change == "left out" for name in x.names]
-        missing += [x.get("name", "") for x in other_ligaments(bones)]
+        missing = unread_names(bones, not_taken)
         used = [y.name for x in MERGED for y in bundle_names(x, ligaments, missing)]
         rest = tuple(x.name for x in ligaments if x.name not in used)
         if rest:
@@ -461,7 +466,7 @@ def imported_knee(
     knee = Knee(
         name=model.path.stem,
         side=bones.side,
-        description=" ".join([f"Imported from {model.path.name}.", *told]),
+        description=" ".join([f"Imported from {model.path.name}.", *remarks]),
         femur=femur,
         tibia=plateaus,
         ligaments=tuple(ligaments),
@@ -510,7 +515,7 @@ def _meshes(
 ) -> tuple[Surface, list[NotTaken]]:
     """The contact meshes of some bodies in the common frame [mm], and what was mended in them."""
     surfaces: list[Surface] = []
-    told = []
+    remarks = []
     for mesh in meshes:
         body, frame = model.placed(mesh.findtext("socket_frame", ""))
         if body not in bodies:
@@ -531,19 +536,24 @@ def _meshes(
         scaled = Surface(vertices=surface.vertices * factors, faces=faces)
         placed = (bodies[body] @ frame).moved(scaled).scaled(MM_PER_M)
         if any(np.array_equal(placed.vertices, x.vertices) for x in surfaces):
-            told.append(_told(mesh, "left out", "the same surface is given twice"))
+            remarks.append(remark(mesh, "the same surface is given twice"))
             continue
         surfaces.append(placed)
         if is_mirrored:
             why = "its scale factors mirror it, and its triangles are turned so that they face out"
-            told.append(_told(mesh, "changed", why))
+            remarks.append(remark(mesh, why, "changed"))
         if clauses := surface.repairs.clauses:
-            told.append(_told(mesh, "changed", f"{file.name} was mended: {'; '.join(clauses)}"))
-    return joined(*surfaces), told
+            why = f"{file.name} was mended: {'; '.join(clauses)}"
+            remarks.append(remark(mesh, why, "changed"))
+    return joined(*surfaces), remarks
 
 
-def _told(element: Element, change: Change, why: str) -> NotTaken:
-    return NotTaken(kind=element.tag, names=(element.get("name", ""),), change=change, why=why)
+def remark(
+    element: Element, why: str, change: Change = "left out", *, is_line: bool = False
+) -> NotTaken:
+    """That one element of a model is left out or changed."""
+    names = (element.get("name") or "without a name",)
+    return NotTaken(kind=element.tag, names=names, change=change, why=why, is_line=is_line)
 
 
 def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
@@ -641,7 +651,7 @@ def _axis_word(direction: Array) -> str:
 
 
 def _flexion_axis(bones: Bones) -> Array | None:
-    """The axis about which the joint flexes, of length 1; None where none can be told."""
+    """The axis about which the joint flexes, of length 1; None where the model has none."""
     turns = [
         x
         for x in bones.joint.element.iterfind("SpatialTransform/TransformAxis")
@@ -677,11 +687,11 @@ def _plateaus(
     """The medial and the lateral part of a tibial surface, and what was done to get them."""
     found = _parts(tibia)
     parts = [x for x in found if x.areas.sum() > CRUMB_SHARE * tibia.areas.sum()]
-    told, kind = [], "contact mesh of the tibia"
+    remarks, kind = [], "contact mesh of the tibia"
     if crumbs := len(found) - len(parts):
         why = f"each has less than {CRUMB_SHARE:.0%} of its area"
         names = tuple(f"piece {i + 1}" for i in range(crumbs))
-        told.append(NotTaken(kind=kind, names=names, change="left out", why=why))
+        remarks.append(NotTaken(kind=kind, names=names, change="left out", why=why))
     to_right = bones.tibia_frame.rotation[:, 2]
     if len(parts) == 1:
         (whole,) = parts
@@ -689,7 +699,7 @@ def _plateaus(
         is_left = whole.vertices[whole.faces].mean(axis=1) @ to_right < middle
         parts = [_part(whole, is_left), _part(whole, ~is_left)]
         why = f"one piece, cut between the plateaus at z = {middle:.1f} mm of the common frame"
-        told.append(NotTaken(kind=kind, names=("tibia",), change="changed", why=why))
+        remarks.append(NotTaken(kind=kind, names=("tibia",), change="changed", why=why))
     if len(parts) != 2:
         raise bones.model.refusal(
             "contact geometry",
@@ -697,7 +707,7 @@ def _plateaus(
             "Cut the mesh between the plateaus and remove everything else.",
         )
     left, right = sorted(parts, key=lambda x: float(x.centroid @ to_right))
-    return ((left, right) if bones.side == "right" else (right, left)), told
+    return ((left, right) if bones.side == "right" else (right, left)), remarks
 
 
 def _cut(bones: Bones, femur: Surface, tibia: Surface, to_right: Array) -> float:
@@ -747,7 +757,7 @@ def _part(surface: Surface, chosen: BoolArray) -> Surface:
 
 
 def _landmarks(bones: Bones) -> tuple[Landmark, ...]:
-    """The hip and the ankle centre where joints named so hold on to the bones."""
+    """The hip and the ankle centre where joints of these names are on the bones."""
     found = {}
     for joint in bones.model.joints:
         if "hip" in joint.name.lower() and joint.child in bones.femur:

@@ -28,8 +28,8 @@ from identknee.subject.opensim import (
     line_for,
     lines_of,
     mesh_file,
-    other_ligaments,
     slack_length,
+    unread_names,
 )
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
 from identknee.subject.surface import write_surface
@@ -240,11 +240,10 @@ def _check_same(knee: Knee, model: OsimModel) -> None:
 
 
 def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
-    """The model's lines that the knee speaks of, with what they are to be."""
+    """The model's lines that are ligaments of the knee, with their new values."""
     found, not_taken = lines_of(bones)
     lines = {x.ligament.name: x for x in found}
-    missing = [name for x in not_taken if x.change == "left out" for name in x.names]
-    missing += [x.get("name", "") for x in other_ligaments(bones)]
+    missing = unread_names(bones, not_taken)
     ligaments = [x.ligament for x in lines.values()]
     for wanted in knee.ligaments:
         if wanted.name in lines:

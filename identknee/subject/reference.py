@@ -330,7 +330,8 @@ def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = No
     for edge in (edge_mm, femur_edge_mm):
         if not 0.2 <= edge <= 10.0:
             raise ValueError(f"the edge of the triangles must be within 0.2 to 10 mm, got {edge:g}")
-    numbers = _numbers()
+    table = resources.files("identknee.subject").joinpath("reference_knee.toml")
+    numbers = tomllib.loads(table.read_text("utf-8"))
     condyles = tuple(Condyle(**_values(x)) for x in numbers["femur"].values())
     plateaus = [Plateau(**_values(numbers["tibia"][side])) for side in ("medial", "lateral")]
     frame = Frame(origin=np.zeros(3), axes=np.eye(3))
@@ -354,11 +355,6 @@ def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = No
         tibia_frame=frame,
         femur_distance=CondyleDistance(condyles=condyles),
     )
-
-
-def _numbers() -> dict[str, Any]:
-    text = resources.files("identknee.subject").joinpath("reference_knee.toml").read_text("utf-8")
-    return tomllib.loads(text)
 
 
 def _values(table: dict[str, Any]) -> dict[str, float]:

@@ -7,6 +7,7 @@ import numpy as np
 from common import published
 from common.page import Cell, table
 from common.rows_of_paper import error_table, start_table
+from common.spreads import median_range, spread
 
 import identknee as ik
 
@@ -78,16 +79,16 @@ def table_3(record: Row) -> ik.report.Table:
             runs = rows(part, start)
             stiffness = np.array([row["error_kN"] for row in runs])
             strain = np.array([row["error_pct"] for row in runs])
-            middles = [ik.report.spread(x.mean(axis=1)) for x in (stiffness, strain)]
-            scatters = [ik.report.spread(x.std(axis=1, ddof=1)) for x in (stiffness, strain)]
+            middles = [spread(x.mean(axis=1)) for x in (stiffness, strain)]
+            scatters = [spread(x.std(axis=1, ddof=1)) for x in (stiffness, strain)]
             body.append(
                 (
                     start,
                     f"{knee}, {len(runs)} runs",
-                    ik.report.median_range(middles[0]),
-                    ik.report.median_range(scatters[0]),
-                    ik.report.median_range(middles[1]),
-                    ik.report.median_range(scatters[1]),
+                    median_range(middles[0]),
+                    median_range(scatters[0]),
+                    median_range(middles[1]),
+                    median_range(scatters[1]),
                     f"{middles[0].ci_low:.2f} to {middles[0].ci_high:.2f}",
                     f"{middles[1].ci_low:.2f} to {middles[1].ci_high:.2f}",
                 )
@@ -109,9 +110,7 @@ def table_4(record: Row) -> ik.report.Table:
         for knee, part in record["knees"].items():
             errors = np.array([row["rmse_by_flexion"] for row in rows(part, start)])
             cells = [
-                ik.report.median_range(
-                    ik.report.spread(errors[:, angle, ik.laxity.COORDINATES.index(coordinate)])
-                )
+                median_range(spread(errors[:, angle, ik.laxity.COORDINATES.index(coordinate)]))
                 for coordinate in PAPER_TABLE4
                 for angle in range(errors.shape[1])
             ]
@@ -153,10 +152,8 @@ def force_table(record: Row, key: str, paper: Row, title: str) -> ik.report.Tabl
         for knee, part in record["knees"].items():
             ligaments = part["profile"]["ligaments"]
             cells = [
-                ik.report.median_range(
-                    ik.report.spread(
-                        [row[key][i][ligaments.index(name)] for row in rows(part, start)]
-                    ),
+                median_range(
+                    spread([row[key][i][ligaments.index(name)] for row in rows(part, start)]),
                     0,
                 )
                 for name in PAPER_LIGAMENTS
@@ -205,12 +202,10 @@ def cost_table(record: Row) -> ik.report.Table:
                     knee,
                     start,
                     ", ".join(f"{x} {ended.count(x)}" for x in sorted(set(ended))),
-                    ik.report.median_range(
-                        ik.report.spread([row["n_simulations"] for row in runs]), 0
-                    ),
-                    ik.report.median_range(ik.report.spread([row["seconds"] for row in runs]), 1),
-                    ik.report.median_range(ik.report.spread([row["rmse_mm"] for row in runs]), 3),
-                    ik.report.median_range(ik.report.spread([row["rmse_deg"] for row in runs]), 3),
+                    median_range(spread([row["n_simulations"] for row in runs]), 0),
+                    median_range(spread([row["seconds"] for row in runs]), 1),
+                    median_range(spread([row["rmse_mm"] for row in runs]), 3),
+                    median_range(spread([row["rmse_deg"] for row in runs]), 3),
                 )
             )
     return table(

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from common.page import Cell, table
+from common.spreads import median_range, spread
 
 import identknee as ik
 
@@ -53,8 +54,8 @@ def guess_table(record: Row) -> ik.report.Table:
                 (
                     guess,
                     f"{knee}, {n} runs",
-                    ik.report.median_range(ik.report.spread(row["error_kN"])),
-                    ik.report.median_range(ik.report.spread(row["error_pct"])),
+                    median_range(spread(row["error_kN"])),
+                    median_range(spread(row["error_pct"])),
                     *(row["kinds"].get(kind, 0) for kind in KINDS[:3]),
                     row["polished"].get("minimum", 0),
                     sum(x < AT_TRUTH for x in row["polished_error"]),

@@ -8,6 +8,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
+import scipy.interpolate
 from common.page import draw_study, turn_ticks
 from matplotlib.figure import Figure
 from profile_tables import tables
@@ -15,11 +16,14 @@ from profile_tables import tables
 import identknee as ik
 from identknee.calibrate.problem import typical_steps
 from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
+from identknee.runs.arrays import Array
 from identknee.runs.schema import from_plain
 from identknee.runs.words import label, label_without_unit
 
 # Parameters drawn in colour on each panel of paths: those that move most.
 N_COMPENSATORS = 3
+# Points of a smooth curve between two points of an edge.
+PER_SEGMENT = 12
 Row = Mapping[str, Any]
 
 
@@ -81,6 +85,19 @@ def figure_3(record: Row) -> Figure:
     return ik.report.intervals_figure(profiles_of(record))
 
 
+def _smooth(edge: Array) -> Array:
+    """Many points on a closed smooth curve through the edge of a set, shape ``(k, 2)``.
+
+    An edge with gaps, where NaN stands, is given back as it is, closed.
+    """
+    closed = np.vstack([edge, edge[:1]])
+    if not np.isfinite(edge).all():
+        return closed
+    steps = np.arange(len(closed))
+    curve = scipy.interpolate.CubicSpline(steps, closed, bc_type="periodic")
+    return np.asarray(curve(np.linspace(0, len(edge), PER_SEGMENT * len(edge) + 1)))
+
+
 def figure_4(record: Row) -> Figure:
     """Stiffness with reference strain of each ligament, a row a knee."""
     knees = record["knees"]
@@ -91,7 +108,7 @@ def figure_4(record: Row) -> Figure:
         truth = dict(zip(part["parameters"], part["truth"], strict=True))
         for axes, pair in zip(axes_row, part["pairs"], strict=False):
             for k, (level, edge) in enumerate(zip(pair["levels"], pair["edges"], strict=True)):
-                line = ik.report.smooth_edge(np.array(edge, dtype=float))
+                line = _smooth(np.array(edge, dtype=float))
                 axes.plot(
                     *line.T, color=ik.report.COLOURS[k], linewidth=1.2, label=f"{100 * level:g} %"
                 )

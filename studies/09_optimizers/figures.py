@@ -9,6 +9,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from common.page import Cell, draw_study, table
+from common.spreads import median_range, spread
 from matplotlib.figure import Figure
 
 import identknee as ik
@@ -109,15 +110,11 @@ def method_table(record: Row) -> ik.report.Table:
                     len(rows),
                     *(kinds.count(kind) for kind in KINDS),
                     at_truth,
-                    ik.report.median_range(ik.report.spread([row["error_kN"] for row in rows])),
-                    ik.report.median_range(ik.report.spread([row["error_pct"] for row in rows])),
-                    ik.report.median_range(
-                        ik.report.spread(np.array([row["rmse_deg"] for row in rows], float)), 3
-                    ),
-                    ik.report.median_range(
-                        ik.report.spread([row["n_simulations"] for row in rows]), 0
-                    ),
-                    ik.report.median_range(ik.report.spread([row["seconds"] for row in rows])),
+                    median_range(spread([row["error_kN"] for row in rows])),
+                    median_range(spread([row["error_pct"] for row in rows])),
+                    median_range(spread(np.array([row["rmse_deg"] for row in rows], float)), 3),
+                    median_range(spread([row["n_simulations"] for row in rows]), 0),
+                    median_range(spread([row["seconds"] for row in rows])),
                 )
             )
     return table(

@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from beyond_tables import beyond
+from common.page import filled
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from other_studies import STUDIES, record_of
@@ -60,7 +61,7 @@ def main() -> None:
         for name, draw in {"course": course_figure, "forces": force_figure}.items():
             ik.runs.write_atomically(options.out / f"{name}.png", ik.report.png(draw(found)))
     text = options.page.read_text(encoding="utf-8")
-    text = ik.report.filled(text, {**tables(found), **beyond(found)})
+    text = filled(text, {**tables(found), **beyond(found)})
     ik.runs.write_atomically(options.page, with_numbers(text, numbers(found)))
 
 

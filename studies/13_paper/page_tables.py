@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from common import published
 from common.page import table
+from common.spreads import median_range, spread
 from other_studies import module_of
 
 import identknee as ik
@@ -133,9 +134,7 @@ def table_3(found: Found) -> ik.report.Table:
         before = parameter_error(profile["starts"][start], profile["truth"])
         for i, (key, unit) in enumerate((("error_kN", "kN"), ("error_pct", "%"))):
             cells = [
-                ik.report.median_range(
-                    ik.report.spread([np.mean(x[key]) for x in PAPER.rows(part, start)])
-                )
+                median_range(spread([np.mean(x[key]) for x in PAPER.rows(part, start)]))
                 for part in parts(found).values()
             ]
             exact = max(

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,32 @@ def draw_study(
         if figure is not None:
             ik.runs.write_atomically(options.out / f"{name}.png", png(figure))
     page = options.page.read_text(encoding="utf-8")
-    ik.runs.write_atomically(options.page, ik.report.filled(page, tables(record)))
+    ik.runs.write_atomically(options.page, filled(page, tables(record)))
+
+
+def filled(text: str, tables: Mapping[str, ik.report.Table | str]) -> str:
+    """`text` with each table between ``<!-- NAME -->`` and ``<!-- end NAME -->`` put in anew.
+
+    Words in place of a table are put in as they are.
+
+    Raises
+    ------
+    ValueError
+        If the text has no such place for a table.
+    """
+    for name, table in tables.items():
+        place = re.compile(
+            rf"(<!-- {re.escape(name)} -->\n).*?(<!-- end {re.escape(name)} -->)", re.DOTALL
+        )
+        content = table if isinstance(table, str) else table.markdown()
+        whole = content.replace("\\", "\\\\")
+        text, count = place.subn(rf"\g<1>{whole}\n\g<2>", text)
+        if count != 1:
+            raise ValueError(
+                f"the text has {count} places for {name!r}; mark one with <!-- {name} --> and "
+                f"<!-- end {name} -->"
+            )
+    return text
 
 
 def turn_ticks(axes: Axes, degrees: float) -> None:

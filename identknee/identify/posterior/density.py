@@ -164,7 +164,7 @@ class InfeasiblePriorMass:
 
 
 def infeasible_prior_mass(parameters: Parameters, is_predicted: BoolArray) -> InfeasiblePriorMass:
-    """The excluded prior mass; `is_predicted` tells of draws of the prior, shape ``(n,)``."""
+    """The excluded prior mass; `is_predicted` is that of draws of the prior, shape ``(n,)``."""
     failed = share(int(np.sum(~is_predicted)), len(is_predicted))
     return InfeasiblePriorMass(
         beyond_bounds=max(0.0, 1.0 - mass_within_bounds(parameters)),

@@ -459,7 +459,8 @@ class KernelMixture:
     """Equal mixture of kernels given as walkers' blobs, nine parts normal, one part heavy-tailed.
 
     The heavy tails, of Student's t distribution with three degrees of freedom, are for walkers far
-    from all others: a normal mixture is so thin there that it would hardly ever let them go.
+    from all others: a normal mixture is so thin there that it would accept hardly any of
+    their moves.
 
     Parameters
     ----------

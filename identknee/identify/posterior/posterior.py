@@ -335,7 +335,7 @@ MOST_CHECKS = 1000
 # A drift times the steps: its typical size beside that of the largest of so many independent
 # normal errors, and the spread of its logarithm. From 7 samples of two knees with 8 parameters.
 DRIFT_SIZE, DRIFT_SPREAD = 1.27, 0.5
-# Checks that this counts for beside those made, the first of which are of too few steps to tell.
+# Checks that this counts for beside those made; the first have too few steps to be judged by.
 PRIOR_CHECKS, FIRST_CHECKS = 10, 2
 
 
@@ -497,10 +497,10 @@ class Posterior:
         """Posterior quantiles of each parameter, shape ``(n, k)``."""
         return np.asarray(np.quantile(self.kept, np.asarray(probabilities), axis=(0, 1, 2)).T)
 
-    def quantile_errors(self, probabilities: Sequence[float] = QUANTILES) -> Array:
+    def quantile_errors(self) -> Array:
         """Monte Carlo standard errors of the quantiles, shape ``(n, k)``."""
         each = [self.kept[..., i] for i in range(self.parameters.n)]
-        return np.array([[quantile_error(x, p) for p in probabilities] for x in each])
+        return np.array([[quantile_error(x, p) for p in QUANTILES] for x in each])
 
     def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
         """Indices (ensemble, walker, kept step) of nearly independent draws, ``(n_draws, 3)``.

@@ -101,7 +101,7 @@ def initial_state(task: Ensemble, item: tuple[int, list[Array]]) -> Block:
     """The first state of an ensemble, its walkers spread widely around the optima.
 
     Every second walker starts around the optimum of the ensemble's own turn, the others around all
-    in turn: ensembles begin apart, and each knows of every basin.
+    in turn: ensembles begin apart, and each has walkers in every basin.
 
     Returns
     -------
@@ -527,7 +527,7 @@ def _are_predicted(density: LogPosterior, thetas: Array) -> list[bool]:
 
 N_LIVE = 300
 N_RESAMPLED = 100
-# What dynesty takes for impossible; it cannot count with minus infinity.
+# Log likelihood without a prediction; dynesty cannot compute with minus infinity.
 IMPOSSIBLE = -1e300
 
 

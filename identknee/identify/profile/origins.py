@@ -21,9 +21,9 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
-# Of the interval: an end that moves by more hangs on what moved it.
+# Of the interval: an end that moves by more is set by the bound that was widened.
 MOVED = 0.1
-# Of the threshold: what twice the room of a bound must promise, by its multiplier, to count.
+# Of the threshold: reduction predicted for twice the room of a bound from which it counts.
 ACTIVE = 1e-3
 # Of the rise of the deviance: an end of which priors make more is theirs.
 MOST = 0.5
@@ -78,9 +78,9 @@ class OriginFinder:
     def side(self, end: ClosedEnd) -> Side:
         """The side with what makes its end; with nothing where that could not be computed.
 
-        An end hangs on the bounds of other parameters where such a bound is active there or at the
+        An end is set by bounds of other parameters where such a bound is active there or at the
         best fit and, computed again with twice the room for all parameters, the end moves by more
-        than a tenth of the interval, or is none any more. Else it hangs on priors where these make
+        than a tenth of the interval, or is none any more. Else priors set it where these make
         more than half of the rise of the deviance from the best fit to the end.
         """
         at_end = self._gains(end.nearest.evaluation, end.nearest.slope)
@@ -99,7 +99,7 @@ class OriginFinder:
         return replace(end.side, made_by=made_by)
 
     def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
-        """What active bounds of other parameters promise, by their multipliers, with more room."""
+        """Reduction predicted by the multipliers for twice the room at active bounds of others."""
         problem, quantity = self._problem, self._walk.quantity
         parameters = problem.parameters
         own = quantity.name if isinstance(quantity, ParameterQuantity) else ""
@@ -121,9 +121,9 @@ class OriginFinder:
     def _moves_outward(self, end: ClosedEnd) -> bool | None:
         """Whether the end lies farther out with twice the room, up to the quantity's own bounds.
 
-        The fit at the end is begun from there and from the middle of the prior: a bound may bar the
-        way to sets in which the parameters exchange their roles. From optima outside the bounds the
-        profile is walked to beyond the end.
+        The fit at the end is begun from there and from the middle of the prior: a bound may
+        separate sets in which the parameters exchange their roles. From optima outside the bounds
+        the profile is walked to beyond the end.
         """
         walk = self._with_room(self._problem.parameters.names)
         low, high = self._walk.limits

@@ -516,8 +516,8 @@ class PolishedOptimum:
     theta
         Where it is, shape ``(n,)``.
     beyond
-        Likely optima outside the bounds, shape ``(n,)`` each: ends that would move from there hang
-        on bounds.
+        Likely optima outside the bounds, shape ``(n,)`` each: ends that would move from there are
+        set by bounds.
     """
 
     theta: Array
@@ -792,7 +792,7 @@ def profile_quantities(
             description="profiling",
         )
         found = tuple(from_plain(Profile, x) for x in kept)
-        # Once more from the lowest of the better optima met, unless all profiles stand on it.
+        # Once more from the lowest of the better optima met, unless all profiles start from it.
         lowest = min(found, key=lambda x: x.deviance)
         # A hundredth of what would start one profile over.
         if lowest.better_optimum is None or all(

@@ -587,20 +587,20 @@ class Profile:
     @property
     @derived("What the verdict means")
     def sentence(self) -> str:
-        """What the verdict means, as full sentences that name what an end hangs on."""
+        """What the verdict means, as full sentences that name what sets an end."""
         ends = (("lower", self.lower_side), ("upper", self.upper_side))
-        said = [
+        sentences = [
             f"The {which} end hangs on the bound of {side.bound_of}."
             for which, side in ends
             if side.bound_of is not None
         ]
-        said += [
+        sentences += [
             f"Priors make most of the {which} end."
             for which, side in ends
             if side.made_by is EndOrigin.PRIOR
         ]
-        said += [] if self.doubt is None else [f"That is {self.doubt.value}."]
-        return " ".join([self.verdict.sentence, *said])
+        sentences += [] if self.doubt is None else [f"That is {self.doubt.value}."]
+        return " ".join([self.verdict.sentence, *sentences])
 
     @property
     @derived("Points of the curve", unit="1")

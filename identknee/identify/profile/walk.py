@@ -32,7 +32,7 @@ N_FITS = 2
 MOST_STEPS = 24
 # Seed of the directions in which points are tried: the same ones every time.
 SEED = 20
-# Directions that the data hardly see are gone along for no more than the inverse of this, in
+# Along directions that the data hardly see, steps are no longer than the inverse of this, in
 # conditional standard deviations.
 LEAST_SIZE = 0.05
 
@@ -370,7 +370,7 @@ CLOSE, SLOPE_ERROR = 2e-3, 0.1
 END_TOLERANCE = 1e-4
 GAP_TOLERANCE = 3e-4
 BESIDE_BOUND = 1e-3
-# Of a bound: what is nearer to it stands on it.
+# Of a bound: what is nearer is taken to be at it.
 ROUNDING = 1e-13
 # Of the threshold: what a flat side may still rise by going as far again.
 FLAT = 1e-2

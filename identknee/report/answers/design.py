@@ -1,4 +1,4 @@
-"""Which trials to measure next, and what they would tell."""
+"""Which trials to measure next, and what they would narrow."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
+from identknee.identify.design import ChosenTrials
 from identknee.identify.optimum import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_description
@@ -171,19 +172,20 @@ def _percent(row: dict[str, Any]) -> str:
 MOST_NAMED = 3
 
 
-def _targets(answer: Design) -> Table:
-    choice = answer.choice
-    rows = tuple(
+def _target_table(choice: ChosenTrials) -> Table:
+    return table(
+        "Intervals of the targets",
+        ("target", "now", "predicted", "simulated"),
         (
-            label(name),
-            _ends(choice.before[name].lower, choice.before[name].upper),
-            _ends(*choice.predicted_ends[name]),
-            _ends(choice.after[name].lower, choice.after[name].upper),
-        )
-        for name in choice.targets
+            (
+                label(x),
+                _ends(choice.before[x].lower, choice.before[x].upper),
+                _ends(*choice.predicted_ends[x]),
+                _ends(choice.after[x].lower, choice.after[x].upper),
+            )
+            for x in choice.targets
+        ),
     )
-    heads = ("target", "now", "predicted", "simulated")
-    return table("Intervals of the targets", heads, rows)
 
 
 def _ends(*ends: float | None) -> str:
@@ -219,19 +221,7 @@ class DesignPresenter(Presenter[Design]):
             f"Next test for {targets}: {trials}. "
             f"{narrowing_words} {ADVICE} lists the "
             "trials, to be filled in and appended to the data.",
-            table(
-                "Intervals of the targets",
-                ("target", "now", "predicted", "simulated"),
-                (
-                    (
-                        label(x),
-                        _ends(choice.before[x].lower, choice.before[x].upper),
-                        _ends(*choice.predicted_ends[x]),
-                        _ends(choice.after[x].lower, choice.after[x].upper),
-                    )
-                    for x in choice.targets
-                ),
-            ),
+            _target_table(choice),
             table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
             is_answer=True,
         )

@@ -1,4 +1,4 @@
-"""What a diagnosis says: what the model gets wrong, why, and which tests would tell more."""
+"""What a diagnosis says: what the model gets wrong, why, and which tests would help."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
@@ -74,8 +74,8 @@ def verdict_sentence(answer: Diagnosis) -> str:
     untested = [x.reason for x in answer.rivals if x.reason and x.could_matter]
     if answer.verdict is Verdict.AMBIGUOUS:
         names = listed(map(cause_label, answer.group), "or")
-        said = [answer.sentence, *([f"Candidates: {names}."] if names else [])]
-        return " ".join([*said, *untested])
+        sentences = [answer.sentence, *([f"Candidates: {names}."] if names else [])]
+        return " ".join([*sentences, *untested])
     if answer.verdict is Verdict.UNEXPLAINED and answer.line is not None:
         return f"{answer.sentence} {answer.line.sentence}"
     if answer.verdict is Verdict.NOT_TESTABLE:
@@ -253,7 +253,7 @@ def _change(answer: Diagnosis) -> Statement:
 
 
 def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
-    """Whether a stated error known better would tell more than one more trial."""
+    """Whether a stated error known better would separate rivals better than one more trial."""
     least = {name: min(x) for name, x in advice.distance_with_error_halved.items()}
     trial, now = min(advice.distance_with_one_trial), min(advice.distance_before)
     order = sorted(least, key=lambda x: -least[x])
@@ -291,13 +291,13 @@ def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
         held += [] if is_free else [parameter_words(name)]
     names = ("parameter", "from", "to", "depends on the cause")
     who = "Whichever of the possible causes it is, the ligament parameters"
-    said = "stay within their intervals"
+    finding = "stay within their intervals"
     if held:
         who = "More than one cause remains possible, and these parameters"
-        said = f"depend on which of them it is: {listed(held)}"
+        finding = f"depend on which of them it is: {listed(held)}"
     return Statement(
         question=Question.WRONG,
-        sentence=f"{who} {said}.",
+        sentence=f"{who} {finding}.",
         tables=(table("Parameters under all open explanations", names, rows),),
     )
 
@@ -312,14 +312,16 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
     known = [x for x, y in FACTS.items() if x not in NOT_OFFERED and not y.is_numerical]
     missing = [cause_label(x) for x in known if x not in effects and x not in uncertain]
     stated = [cause_label(x) for x in known if x in uncertain]
-    said = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
-    said += f"{listed(f'{counts[x]} {x}' for x in dict.fromkeys(FOUND.values()) if counts[x])}."
+    sentence = f"Of {len({*known, *effects})} known causes, {len(effects)} were tested: "
+    sentence += f"{listed(f'{counts[x]} {x}' for x in dict.fromkeys(FOUND.values()) if counts[x])}."
     if missing:
-        said += f" Not testable with these data or this knee: {listed(missing)}."
+        sentence += f" Not testable with these data or this knee: {listed(missing)}."
     if stated:
-        said += f" Taken as uncertain from the start: {listed(stated)}."
+        sentence += f" Taken as uncertain from the start: {listed(stated)}."
     return Statement(
-        question=Question.WRONG, sentence=said, tables=(table("Every cause tested", heads, rows),)
+        question=Question.WRONG,
+        sentence=sentence,
+        tables=(table("Every cause tested", heads, rows),),
     )
 
 
@@ -349,7 +351,7 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def statements(self, answer: Diagnosis) -> Iterator[Statement]:
-        """The verdict, where the misfit is, what the cause changes, and what trials would tell."""
+        """The verdict, where the misfit is, what the cause changes, and which trials would help."""
         yield self.say(verdict_sentence(answer), *_verdict_tables(answer), is_answer=True)
         if answer.misfit is not None and answer.misfit.cells:
             yield _where(answer.misfit)
@@ -365,10 +367,10 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
         if answer.effects:
             yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
         if answer.advised_trials:
-            said = "" if answer.advice is None else answer.advice.sentence
+            advice = "" if answer.advice is None else answer.advice.sentence
             yield Statement(
                 question=Question.NEXT,
-                sentence=f"Next test: {trials_words(answer.advised_trials)}. {said}",
+                sentence=f"Next test: {trials_words(answer.advised_trials)}. {advice}",
                 tables=(trial_table(answer.advised_trials),),
                 is_answer=True,
             )
@@ -474,8 +476,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
     @override
     def next_tests(self, answer: Diagnosis) -> Iterator[str]:
         if answer.advised_trials:
-            said = "" if answer.advice is None else f" {answer.advice.sentence}"
-            yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{said}"
+            advice = "" if answer.advice is None else f" {answer.advice.sentence}"
+            yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{advice}"
 
     @override
     def protocol(self, answer: Diagnosis) -> Protocol | None:

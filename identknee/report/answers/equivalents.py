@@ -1,4 +1,4 @@
-"""How different two knees may be that a measurement cannot tell apart."""
+"""How different two knees may be that a measurement cannot distinguish."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -76,24 +76,24 @@ class EquivalentsPresenter(Presenter[Equivalents]):
         """The least known stiffness and the sets, then the least known force."""
         region = answer.region
         stiffness = [x for x in region.parameters.values() if x.name.endswith(STIFFNESS)]
-        said = [
+        sentences = [
             "Two knees that this measurement cannot distinguish may differ by "
             f"{amount(_width(x), x.unit)} in {parameter_words(x.name)} "
             f"({interval(_ends(x), x.unit)})."
             for x in _widest_first(stiffness)[:1]
         ]
-        said.append(
+        sentences.append(
             f"Among {region.n_sets} such parameter sets the two farthest apart differ by "
             f"{region.farthest:.3g} typical steps (3 kN, 2 %), and the two closest by "
             f"{region.closest:.3g}. {region.sentence}"
         )
         if answer.power_of_best_test is not None:
-            said.append(
+            sentences.append(
                 "Even the most powerful test at the 5 % level distinguishes one of them from the "
                 f"fit in only {100 * answer.power_of_best_test:.0f} of 100 measurements."
             )
         yield self.say(
-            " ".join(said),
+            " ".join(sentences),
             _table(region.parameters.values(), "Ranges over all equivalent sets"),
             is_answer=True,
         )
@@ -111,11 +111,13 @@ class EquivalentsPresenter(Presenter[Equivalents]):
             )
         others = [x for x in region.quantities.values() if x.unit != FORCE_UNIT]
         if others:
-            said = [
+            clauses = [
                 f"{parameter_words(x.name)} lies anywhere {between(_ends(x), x.unit)}"
                 for x in others[:MOST_NAMED]
             ]
-            yield self.say(f"Among such sets, {listed(said)}.", _table(others, "Other predictions"))
+            yield self.say(
+                f"Among such sets, {listed(clauses)}.", _table(others, "Other predictions")
+            )
 
     @override
     def drawings(self, answer: Equivalents, subject: str, knee: Knee | None) -> Iterator[Drawing]:

@@ -12,7 +12,7 @@ from identknee.report.answers.design import trial_list, trial_table, trials_word
 from identknee.report.presenter import Drawing, Presenter, Question, Statement
 from identknee.report.tables import table
 from identknee.runs.schema import summary_of
-from identknee.runs.words import amount, listed
+from identknee.runs.words import amount, listed, listed_first
 from identknee.subject.knee import Knee
 from identknee.verbs.isolability import Isolability
 
@@ -32,9 +32,7 @@ def detectable_sizes(x: Detectability) -> tuple[str, str]:
 
 def _few(causes: Sequence[str]) -> str:
     """Causes in words, of many the first."""
-    shown = [cause_label(x) for x in causes[:MOST_CAUSES]]
-    more = len(causes) - len(shown)
-    return listed([*shown, *([f"{more} more"] if more else [])])
+    return listed_first([cause_label(x) for x in causes], MOST_CAUSES)
 
 
 def distances_of(answer: Isolability) -> Distances:
@@ -43,7 +41,7 @@ def distances_of(answer: Isolability) -> Distances:
 
 
 class IsolabilityPresenter(Presenter[Isolability]):
-    """How it is shown what a protocol could tell apart."""
+    """How it is shown what a protocol could distinguish."""
 
     question = Question.WRONG
 
@@ -62,10 +60,10 @@ class IsolabilityPresenter(Presenter[Isolability]):
         shown = table("What these trials could show in nine of ten data sets", names, rows)
         trials = f"The {answer.n_trials} trials of {answer.protocol}"
         together = "; ".join(_few(x.effects) for x in answer.groups)
-        said = "would distinguish all causes."
+        outcome = "would distinguish all causes."
         if answer.groups:
-            said = f"could not distinguish all causes. These are confounded: {together}."
-        yield self.say(f"{trials} {said}", shown, is_answer=True)
+            outcome = f"could not distinguish all causes. These are confounded: {together}."
+        yield self.say(f"{trials} {outcome}", shown, is_answer=True)
         for group in answer.groups:
             if group.advised_trials:
                 n = len(group.advised_trials)

@@ -111,13 +111,18 @@ def quantity_clause(profile: Profile) -> str:
         return "is undecided, because a limit was not fully computed"
     if low == high == 0.0 and profile.unit == "N":
         return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
-    hangs = _assumptions(profile)
+    assumed = [
+        f"the {which} end "
+        + (f"hangs on the bound of {parameter_words(owner)}" if owner else "is made by priors")
+        for which, owner in _assumed_ends(profile).items()
+    ]
+    hangs = f"; {listed(assumed)}" if assumed else ""
     if low is not None and high is not None:
         half = amount(0.5 * (high - low), unit, 2)
-        said = "is known to within" if profile.is_known else "lies within"
+        claim = "is known to within" if profile.is_known else "lies within"
         doubt = "" if profile.doubt is None else f", {profile.doubt.value}"
         ends = f"{amount(low, '')} to {amount(high, unit)}"
-        return f"{said} ±{half} ({ends}{hangs}){doubt}"
+        return f"{claim} ±{half} ({ends}{hangs}){doubt}"
     if low is not None:
         limits = f"{hangs}{_feasibility_limits(profile)}"
         return f"has no upper limit (at least {amount(low, unit)}{limits})"
@@ -129,26 +134,14 @@ def quantity_clause(profile: Profile) -> str:
     return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
 
 
-def _assumptions(profile: Profile) -> str:
-    """Which ends hang on bounds of other parameters or on priors; empty where data make both."""
-    said = []
-    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
-        if side.bound_of is not None:
-            said.append(f"the {which} end hangs on the bound of {parameter_words(side.bound_of)}")
-        elif side.made_by is EndOrigin.PRIOR:
-            said.append(f"the {which} end is made by priors")
-    return f"; {listed(said)}" if said else ""
-
-
-def _assumed_ends(profile: Profile) -> str:
-    """The same for a table."""
-    said = []
-    for which, side in (("lower", profile.lower_side), ("upper", profile.upper_side)):
-        if side.bound_of is not None:
-            said.append(f"{which}: bound of {label_without_unit(side.bound_of)}")
-        elif side.made_by is EndOrigin.PRIOR:
-            said.append(f"{which}: prior")
-    return ", ".join(said)
+def _assumed_ends(profile: Profile) -> dict[str, str | None]:
+    """The ends that data do not make: the parameter whose bound does, None where priors do."""
+    sides = {"lower": profile.lower_side, "upper": profile.upper_side}
+    return {
+        which: side.bound_of
+        for which, side in sides.items()
+        if side.bound_of is not None or side.made_by is EndOrigin.PRIOR
+    }
 
 
 def _feasibility_limits(profile: Profile) -> str:
@@ -177,17 +170,23 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
         for x in profiles
     )
     doubt = next((f", {x.doubt.value}" for x in profiles if x.doubt is not None), "")
-    said = f"ligament parameters on both sides{doubt}"
     if n == 1:
         bound = "bound" if k else "do not bound"
         name = parameter_words(profiles[0].name)
         return f"at {level:g} % confidence the data {bound} {name} on both sides{doubt}."
     which = ("both" if n == 2 else f"all {n}") if k == n else f"{k or 'none'} of the {n}"
-    return f"at {level:g} % confidence the data bound {which} {said}."
+    owned = f"{which} ligament parameters"
+    return f"at {level:g} % confidence the data bound {owned} on both sides{doubt}."
 
 
 def _table(profiles: Sequence[Profile], title: str) -> Table:
-    assumed = [_assumed_ends(x) for x in profiles]
+    assumed = [
+        ", ".join(
+            f"{which}: bound of {label_without_unit(owner)}" if owner else f"{which}: prior"
+            for which, owner in _assumed_ends(x).items()
+        )
+        for x in profiles
+    ]
     more = ("ends not made by data",) if any(assumed) else ()
     return table(
         title,

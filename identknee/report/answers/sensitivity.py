@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from typing_extensions import override
@@ -15,22 +16,44 @@ from identknee.subject.knee import Knee
 from identknee.verbs.sensitivity import GlobalSensitivity
 
 INDICES = {"mu_star": "mean absolute effect, mu*", "ST": "total Sobol index, ST"}
-METHODS = {"morris": "Morris's elementary effects", "sobol": "Sobol's total index"}
-OF_MAIN_INTEREST = {
-    "morris": "mu_star",
-    "sobol": "ST",
-    "delta": "delta",
-    "pawn": "pawn",
-    "hdmr": "ST",
-    "shapley": "shapley",
-}
-MEANINGS = {
-    "morris": "its mean effect (mm or deg) when it alone crosses its whole range",
-    "sobol": "the share of the variance that would be left if all others were known",
-    "delta": "how much knowing it changes the distribution of the output, 0 to 1",
-    "pawn": "how far knowing it shifts the distribution of the output, 0 to 1",
-    "hdmr": "the share of the variance that its terms explain",
-    "shapley": "its fair share of the variance, with what it shares with others",
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """What a method measures: its main index, its name in a sentence, and what the index means."""
+
+    index: str
+    name: str
+    meaning: str
+
+
+MEASURES = {
+    "morris": Measure(
+        "mu_star",
+        "Morris's elementary effects",
+        "its mean effect (mm or deg) when it alone crosses its whole range",
+    ),
+    "sobol": Measure(
+        "ST",
+        "Sobol's total index",
+        "the share of the variance that would be left if all others were known",
+    ),
+    "delta": Measure(
+        "delta",
+        "the delta index",
+        "how much knowing it changes the distribution of the output, 0 to 1",
+    ),
+    "pawn": Measure(
+        "pawn",
+        "the pawn index",
+        "how far knowing it shifts the distribution of the output, 0 to 1",
+    ),
+    "hdmr": Measure("ST", "the hdmr index", "the share of the variance that its terms explain"),
+    "shapley": Measure(
+        "shapley",
+        "the shapley index",
+        "its fair share of the variance, with what it shares with others",
+    ),
 }
 
 
@@ -51,7 +74,8 @@ def _missing(found: Sensitivity) -> str:
 
 def _most_influential(answer: GlobalSensitivity) -> str:
     found = answer.analysis
-    entries = found.largest[OF_MAIN_INTEREST[found.method]]
+    measure = MEASURES[found.method]
+    entries = found.largest[measure.index]
 
     def size(name: str) -> float:
         value = float(entries[name]["largest"]["value"])
@@ -59,14 +83,13 @@ def _most_influential(answer: GlobalSensitivity) -> str:
         return 0.0 if math.isnan(value) else value
 
     name = max(entries, key=size)
-    measure = METHODS.get(found.method, f"the {found.method} index")
     top = str(entries[name]["largest"]["group"])
     where, group = top, answer.group_named(top)
     if group is not None:
         under = "without load" if group.load == UNLOADED else f"under {group.load}"
         words = coordinate_words(group.coordinate)
         where = f"{words} at {group.flexion_deg:g} deg of flexion {under}"
-    return f"By {measure}, laxity depends most on {parameter_words(name)}: {where}."
+    return f"By {measure.name}, laxity depends most on {parameter_words(name)}: {where}."
 
 
 def _group(answer: GlobalSensitivity, name: str, words: Callable[[str], str]) -> str:
@@ -77,7 +100,7 @@ def _group(answer: GlobalSensitivity, name: str, words: Callable[[str], str]) ->
 
 def _table(answer: GlobalSensitivity) -> Table:
     found = answer.analysis
-    name = OF_MAIN_INTEREST[found.method]
+    name = MEASURES[found.method].index
     index = found.indices[name]
     tops = [found.largest_group(name, i) for i in range(found.parameters.n)]
     return table(
@@ -121,7 +144,7 @@ class SensitivityPresenter(Presenter[GlobalSensitivity]):
             return
         yield self.say(
             f"{_most_influential(answer)} The largest index of each parameter is "
-            f"{MEANINGS[found.method]}.",
+            f"{MEASURES[found.method].meaning}.",
             _table(answer),
         )
         yield self.say(

@@ -42,14 +42,6 @@ def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
     yield Statement(question=Question.KNOWN, sentence="\n".join([sentence, *also]))
 
 
-def check_statements(answer: SubjectCheck) -> Iterator[Statement]:
-    """Side and ligaments, and whether stability was not checked."""
-    yield from SubjectPresenter().statements(answer)
-    if answer.stability is None:
-        sentence = "Stability was not checked: correct the errors below first."
-        yield Statement(question=Question.WRONG, sentence=sentence)
-
-
 class SubjectPresenter(Presenter[SubjectFacts]):
     """How a subject is shown."""
 
@@ -88,7 +80,11 @@ class SubjectCheckPresenter(Presenter[SubjectCheck]):
 
     @override
     def statements(self, answer: SubjectCheck) -> Iterator[Statement]:
-        yield from check_statements(answer)
+        """Side and ligaments, and whether stability was not checked."""
+        yield from subject_statements(answer)
+        if answer.stability is None:
+            sentence = "Stability was not checked: correct the errors below first."
+            yield Statement(question=Question.WRONG, sentence=sentence)
 
 
 class SettledSubjectPresenter(Presenter[SettledSubject]):

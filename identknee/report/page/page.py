@@ -1,4 +1,4 @@
-"""The page: one HTML file with the answer first and everything it stands on behind it."""
+"""The page: one HTML file with the answer first and everything behind it after that."""
 
 import json
 import shlex
@@ -99,10 +99,10 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     """The answer, the parts behind it with links to them, and how it was computed."""
     merged = findings.merged
     main = overview([x.answer for x in findings.of_main_data])
-    said = _sourced_statements(merged.results)
+    sourced = _sourced_statements(merged.results)
     cautions = merge_duplicate_warnings(
         (warning, source)
-        for x, source in said
+        for x, source in sourced
         if x.warning is not None
         for warning in main.opening.without([x.warning])
     )
@@ -113,7 +113,7 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     figures = _figures(merged, number)
     made = [("answer", "The answer", parts().overview(main, cautions, n_open, level))]
     for question in Question:
-        own = [x for x in said if x[0].question is question and x[0].warning is None]
+        own = [x for x in sourced if x[0].question is question and x[0].warning is None]
         leading = [x for x in own if x[0].is_answer] or own[:1]
         rest = [x for x in own if x not in leading]
         drawn = figures.get(question, [])
@@ -228,7 +228,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
     counts = Counter(x.data_digest for x in ended)
     main, n = counts.most_common(1)[0] if counts else ("", 0)
     together = [x for x in ended if x.data_digest == main] if n > 1 else []
-    said: list[Sourced] = []
+    sourced: list[Sourced] = []
     for result in results:
         # Of a fit that another beats no warning leads the page.
         is_past = any(has_better_fit(x, fits) for x in of_type([result.answer], Calibration))
@@ -241,7 +241,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
             own = [x for x in own if not x.is_answer]
             if result is together[0]:
                 own.insert(0, _fits_statement([x.answer for x in together]))
-        said += [(x, _source(result)) for x in own]
+        sourced += [(x, _source(result)) for x in own]
     # Assumptions are listed with their source if not shared by all.
     taken = {_source(x): assumption_sentences(x.answer) for x in results}
     sources = [x for x in taken if taken[x]]
@@ -253,8 +253,8 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
         text = " ".join(sentences)
         if len(owners) < len(sources):
             text = f"{capitalised(listed(owners))}: {text}"
-        said.append((Statement(question=Question.KNOWN, sentence=text), listed(owners)))
-    return said
+        sourced.append((Statement(question=Question.KNOWN, sentence=text), listed(owners)))
+    return sourced
 
 
 def _fits_statement(answers: Sequence[Answer]) -> Statement:

@@ -91,7 +91,7 @@ class Findings:
 
     @property
     def of_main_data(self) -> tuple[Result, ...]:
-        """The results that stand on the table that most stand on; of equals the latest."""
+        """The results of the table that most were made from; of equals the latest."""
         used = [x.data_digest for x in self.results if x.data_digest]
         latest = {x: k for k, x in enumerate(used)}
         main = max(used, key=lambda x: (used.count(x), latest[x]), default="")
@@ -171,7 +171,7 @@ def _read(path: Path) -> Result | None:
 
 
 def drawings(result: Result) -> tuple[Drawing, ...]:
-    """All figures of a result, the most telling first; none where the answer is a table."""
+    """All figures of a result, the most informative first; none where the answer is a table."""
     shows = presenter_of(result.answer)
     return tuple(shows.drawings(result.answer, result.subject, result.knee))
 

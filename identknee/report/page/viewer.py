@@ -258,16 +258,18 @@ def viewer_html(scene: KneeScene) -> Markup:
     data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False)
     forces = np.array([x.tensions for x in scene.trials])
     knee, n = scene.knee, len(scene.trials)
-    said = [f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."]
+    sentences = [
+        f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."
+    ]
     if np.isfinite(forces).any():
         trial, line = np.unravel_index(np.nanargmax(forces), forces.shape)
-        said.append(
+        sentences.append(
             f"The largest force is {forces[trial, line]:.0f} N, of {scene.names[line]} in "
             f"{scene.trials[trial].name}."
         )
     lost = [x.name for x in scene.trials if x.outcome is not Outcome.CONVERGED]
     if lost:
-        said.append(f"{len(lost)} without equilibrium, the first of them {lost[0]}.")
+        sentences.append(f"{len(lost)} without equilibrium, the first of them {lost[0]}.")
     return Markup(
         environment()
         .get_template("viewer.html")
@@ -276,7 +278,7 @@ def viewer_html(scene: KneeScene) -> Markup:
             code=code,
             # Nothing in the data can end the element that holds them.
             data=Markup(data.replace("<", "\\u003c")),
-            words=" ".join(said),
+            words=" ".join(sentences),
             last=len(scene.trials) - 1,
             hidden=" hidden" if len(scene.trials) == 1 else "",
         )

@@ -17,7 +17,7 @@ from identknee.diagnosis.verdict import (
     UNTESTED,
     Conclusion,
     Verdict,
-    _promising,
+    _high_scoring,
     attribute,
     conclude,
 )
@@ -37,7 +37,7 @@ class Explanation:
     misfit_chi2: float = 100.0
     outcome: Outcome = Outcome.MINIMUM
     is_finite: bool = True
-    promised_fall: float = 0.0
+    predicted_reduction: float = 0.0
     n_amplitudes: int = 1
     ends: tuple[str, ...] = ()
     alarms: dict[float, float] = field(default_factory=dict)
@@ -92,10 +92,10 @@ def test_a_rival_is_excluded_by_evidence_and_distance(
 
 @pytest.mark.parametrize(("made", "deficit", "state"), [
     ({"is_finite": False}, 50.0, RivalState.NOT_TESTED),
-    ({"outcome": Outcome.CLIFF, "promised_fall": 81.0}, 50.0, RivalState.NOT_TESTED),
-    ({"outcome": Outcome.CLIFF, "promised_fall": 79.0}, 50.0, RivalState.EXCLUDED),
-    ({"outcome": Outcome.MINIMUM, "promised_fall": 81.0}, 50.0, RivalState.EXCLUDED),
-    ({"outcome": Outcome.CLIFF, "promised_fall": 1.0}, 3.0, RivalState.OPEN),
+    ({"outcome": Outcome.CLIFF, "predicted_reduction": 81.0}, 50.0, RivalState.NOT_TESTED),
+    ({"outcome": Outcome.CLIFF, "predicted_reduction": 79.0}, 50.0, RivalState.EXCLUDED),
+    ({"outcome": Outcome.MINIMUM, "predicted_reduction": 81.0}, 50.0, RivalState.EXCLUDED),
+    ({"outcome": Outcome.CLIFF, "predicted_reduction": 1.0}, 3.0, RivalState.OPEN),
 ])  # fmt: skip
 def test_a_fit_that_was_stopped_counts_as_good_as_it_promises_to_become(
     made: dict[str, Any], deficit: float, state: RivalState
@@ -239,16 +239,16 @@ def made_step(at: Explanation, n: int, *, flexible: int = 0, secant: int | None 
 
 
 def test_the_eight_highest_are_refitted_and_what_the_score_cannot_judge() -> None:
-    names = [x.name for x in _promising(made_step(Explanation(), 12))]
+    names = [x.name for x in _high_scoring(made_step(Explanation(), 12))]
     assert names == [str(i) for i in range(MOST_REFITS)]
-    names = [x.name for x in _promising(made_step(Explanation(), 12, secant=11))]
+    names = [x.name for x in _high_scoring(made_step(Explanation(), 12, secant=11))]
     assert names == [*(str(i) for i in range(MOST_REFITS)), "11"]
 
 
 def test_beside_a_cause_neither_flexible_effects_nor_secants_are_tried() -> None:
-    names = [x.name for x in _promising(made_step(ONE, 12, flexible=2, secant=11))]
+    names = [x.name for x in _high_scoring(made_step(ONE, 12, flexible=2, secant=11))]
     assert names == [str(i) for i in range(2, 2 + MOST_REFITS)]
-    first = [x.name for x in _promising(made_step(Explanation(), 12, flexible=2))]
+    first = [x.name for x in _high_scoring(made_step(Explanation(), 12, flexible=2))]
     assert first[:2] == ["0", "1"]
 
 

@@ -123,7 +123,7 @@ def test_an_unfinished_fit_is_excluded_only_if_its_promise_would_not_help(
     assert rival.state is RivalState.EXCLUDED
     # At its minimum it promises nothing more, whatever the search says of its end.
     (stuck,) = concluded([ended(strong, Outcome.CLIFF)])[0].rivals
-    assert stuck.refit.promised_fall < 1e-2
+    assert stuck.refit.predicted_reduction < 1e-2
     assert stuck.state is RivalState.EXCLUDED
     # Where it began the linear model predicts most of what the fit then gained.
     fitted = strong.fitted
@@ -131,13 +131,12 @@ def test_an_unfinished_fit_is_excluded_only_if_its_promise_would_not_help(
     start[-strong.causes[-1].parameters.n :] *= 0.5
     begun = refit(diagnosed(FRAME).base, strong.causes, [start], most_steps=1)
     gained = begun.fitted.deviance - fitted.deviance
-    assert begun.promised_fall == pytest.approx(gained, rel=0.5)
+    assert begun.predicted_reduction == pytest.approx(gained, rel=0.5)
     cut = ended(begun, Outcome.CLIFF)
     deficit = diagnosed(FRAME).attribution.best.log_evidence - cut.log_evidence
     (rival,) = concluded([cut])[0].rivals
-    expected = (
-        RivalState.NOT_TESTED if deficit - 0.5 * cut.promised_fall <= 10.0 else RivalState.EXCLUDED
-    )
+    is_open = deficit - 0.5 * cut.predicted_reduction <= 10.0
+    expected = RivalState.NOT_TESTED if is_open else RivalState.EXCLUDED
     assert rival.state is expected
 
 

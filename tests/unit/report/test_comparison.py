@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 from common.largest import largest_by
+from common.spreads import spread
 
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.trial_words import load_scenarios
-from identknee.report.tables import spread
 from identknee.verbs.demo import parameter_error
 
 REFERENCE = [10.0, 18.0, 6.0, 8.3, 8.0, -4.0, 2.0, 4.0]

@@ -7,8 +7,7 @@ import pytest
 
 import identknee as ik
 from identknee.calibrate.problem import TABLE_TERM, EvidenceTerm
-from identknee.report.overview import overview
-from identknee.report.questions import question_sentences, stale_answers
+from identknee.report.overview import overview, question_sentences, stale_answers
 from identknee.verbs.answer import Answer
 
 HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]

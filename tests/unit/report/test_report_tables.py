@@ -1,15 +1,11 @@
 import numpy as np
 import pytest
+from common.page import filled
 from common.published import TABLE2, TABLE5
 from common.rows_of_paper import error_table, laxity_table, start_table
+from common.spreads import median_range, spread
 
-from identknee.report.tables import (
-    Column,
-    Table,
-    filled,
-    median_range,
-    spread,
-)
+from identknee.report.tables import Column, Table
 
 SMALL = Table(
     title="Two springs",
