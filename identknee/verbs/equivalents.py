@@ -7,13 +7,14 @@ import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Quantity, RestrictedQuantity, restricted, with_bounds
+from identknee.checks.usable_trials import residuals_of
 from identknee.identify.equivalents import EquivalentSets
 from identknee.identify.equivalents import equivalents as equivalent_sets
 from identknee.identify.region import Region, noise_region, power_of_best_test
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.line_loads import tensions_of
-from identknee.model.quantities import ligament_forces, quantity_named
+from identknee.model.quantities import force_names, quantity_named
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
@@ -214,7 +215,9 @@ def _region(
 def _predictions(
     setup: Identification, names: Sequence[str], forces: Forces, asked: Protocol | None
 ) -> list[Quantity]:
-    under = setup.model if asked is None else setup.model.with_protocol(asked)
+    # That of the residuals, whose simulation the predictions then share.
+    model = residuals_of(setup.problem).model
+    under = model if asked is None else model.with_protocol(asked)
     found = [quantity_named(under, x) for x in names]
     if forces != "none":
         protocol = asked
@@ -224,5 +227,12 @@ def _predictions(
         if forces == "largest":
             protocol = protocol.select(largest_loads(protocol))
         own = {x.name for x in found}
-        found += [x for x in ligament_forces(setup.model, protocol) if x.name not in own]
-    return [RestrictedQuantity(quantity=x, free=setup.free) for x in found]
+        wanted = (x for x in force_names(under, protocol.trials) if x not in own)
+        found += [quantity_named(under, x) for x in wanted]
+    everything, varied = setup.free, setup.free.parameters.names
+    values = dict(zip(everything.everything.names, everything.fixed_values, strict=True))
+    parameters = model.parameters
+    free = parameters.with_fixed(
+        [x for x in parameters.names if x not in varied], [values[x] for x in parameters.names]
+    )
+    return [RestrictedQuantity(quantity=x, free=free) for x in found]

@@ -110,13 +110,13 @@ Subject = Annotated[
 ]
 Data = Annotated[
     Laxity,
-    argument(_A_TABLE, "DATA.csv...", in_python=_IN_MEMORY, typed=list[str], given=LaxityLike),
+    argument(_A_TABLE, "DATA.csv", in_python=_IN_MEMORY, typed=list[str], given=LaxityLike),
 ]
 MaybeData = Annotated[
     Laxity | None,
     argument(
         f"{_A_TABLE} Leave it out with {{--protocol}}.",
-        "DATA.csv...",
+        "DATA.csv",
         in_python=_IN_MEMORY,
         typed=list[str] | None,
         given=LaxityLike | None,
