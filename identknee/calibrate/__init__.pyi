@@ -11,5 +11,6 @@ from .problem import ParameterQuantity as ParameterQuantity
 from .problem import Problem as Problem
 from .problem import ProblemWithPriors as ProblemWithPriors
 from .problem import Quantity as Quantity
+from .problem import SumOfTerms as SumOfTerms
 from .problem import UserQuantity as UserQuantity
 from .problem import with_bounds as with_bounds
