@@ -31,12 +31,12 @@ VERBS: Mapping[str, Callable[..., Answer]] = {
     "fit": ik.fit,
     "information": ik.information,
     "profile": ik.profile,
-    "equivalents": ik.equivalents,
     "design": ik.design,
     "sensitivity": ik.sensitivity,
     "sweep": ik.sweep,
     "fit --priors": ik.fit,
     "diagnose": ik.diagnose,
+    "equivalents": ik.equivalents,
     "sample": ik.sample,
 }
 OPTIONS: Mapping[str, Mapping[str, Any]] = {

@@ -190,7 +190,7 @@ def test_wrong_tables_are_refused_with_row_and_column(tmp_path: Path) -> None:
 def test_a_missing_argument_shows_the_usage() -> None:
     result = run("fit", "reference")
     assert result.exit_code == 2
-    assert "'DATA.csv'" in result.stderr
+    assert "DATA.csv" in result.stderr
     assert "Traceback" not in result.stderr
 
 
