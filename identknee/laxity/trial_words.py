@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import (
     DIRECTIONS,
     FLEXION,
@@ -116,13 +117,19 @@ def trial_description(trial: Mapping[str, Any]) -> str:
 def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
     """What loads each trial, for example ``"valgus moment"``; ``"unloaded"`` where nothing does.
 
+    Where a ligament is cut the state follows: ``"valgus moment, cut: ACL"``.
+
     Examples
     --------
     >>> from identknee.laxity.protocol import load_protocol
     >>> load_scenarios(load_protocol("drawer"))[:3]
     ('posterior force', 'unloaded', 'anterior force')
     """
-    return tuple(" + ".join(loads_words(x, "{what}")) or UNLOADED for x in protocol.loads)
+    loads = (" + ".join(loads_words(x, "{what}")) or UNLOADED for x in protocol.loads)
+    states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
+    return tuple(
+        x if state == INTACT else f"{x}, {state}" for x, state in zip(loads, states, strict=True)
+    )
 
 
 @declared

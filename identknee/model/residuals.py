@@ -483,7 +483,8 @@ def rms_blocks(
 def largest_loads(protocol: Protocol) -> IntArray:
     """Which trials have the largest load of their kind at their flexion angle, in their order.
 
-    Two loads are of a kind where the same components have the same signs.
+    Two loads are of a kind where the same components have the same signs, in one experiment and
+    state of the knee.
 
     Examples
     --------
@@ -493,9 +494,10 @@ def largest_loads(protocol: Protocol) -> IntArray:
     ['flexion0_varus-10Nm', 'flexion0_unloaded']
     """
     largest: dict[tuple[float, ...], int] = {}
-    sizes = np.abs(protocol.loads).sum(axis=1)
+    sizes, series = np.abs(protocol.loads).sum(axis=1), protocol.series
     for i in range(protocol.n):
-        kind = (float(protocol.flexion_deg[i]), *np.sign(protocol.loads[i]).tolist())
+        signs = np.sign(protocol.loads[i]).tolist()
+        kind = (float(series[i]), float(protocol.flexion_deg[i]), *signs)
         if kind not in largest or sizes[i] > sizes[largest[kind]]:
             largest[kind] = i
     return np.sort(list(largest.values()))

@@ -74,7 +74,9 @@ def _command(answers: Iterable[Answer]) -> str:
 
 def _words(record: Record) -> str:
     settings = record.settings
-    words = ["identknee", NEXT, str(settings.get("subject") or "SUBJECT"), str(settings["data"])]
+    data = settings["data"]
+    tables = [data] if isinstance(data, str) else map(str, data)
+    words = ["identknee", NEXT, str(settings.get("subject") or "SUBJECT"), *tables]
     for name in GIVEN:
         value = settings.get(name)
         if value:

@@ -169,7 +169,7 @@ def _computed_html(results: Sequence[Result]) -> Markup:
         (
             x.verb,
             x.folder.name,
-            _short_path(x.data) or "-",
+            ", ".join(map(_short_path, x.tables)) or "-",
             str(x.record["started"])[:16].replace("T", " "),
             float(x.record["seconds"]),
             "-" if x.record["seed"] is None else str(x.record["seed"]),
@@ -191,11 +191,11 @@ def _further_commands(findings: Findings) -> list[tuple[str, str]]:
     done = {x.verb for x in findings.results}
     if "demo" in done:
         done.add("profile")
-    data = next((x.data for x in reversed(findings.results) if x.data), None)
-    if data is None:
+    tables = next((x.tables for x in reversed(findings.results) if x.tables), None)
+    if tables is None:
         made = findings.of("demo", "simulate")
-        data = str(made[0].folder / "laxity.csv") if made else "DATA.csv"
-    given = shlex.join([findings.subject, data])
+        tables = (str(made[0].folder / "laxity.csv") if made else "DATA.csv",)
+    given = shlex.join([findings.subject, *tables])
     noise = " --noise 0.5mm,0.5deg" if "demo" in done else ""
     return [
         (
@@ -213,7 +213,8 @@ def _short_path(path: str) -> str:
 
 
 def _source(result: Result) -> str:
-    return f"{result.verb} of {_short_path(result.data)}" if result.data else result.verb
+    tables = listed(map(_short_path, result.tables))
+    return f"{result.verb} of {tables}" if tables else result.verb
 
 
 def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:

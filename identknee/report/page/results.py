@@ -56,9 +56,10 @@ class Result:
         return str(self.record["inputs"].get("subject", self.subject))
 
     @property
-    def data(self) -> str:
-        """The laxity table as the call named it; empty for none."""
-        return str(self.record["settings"].get("data") or "")
+    def tables(self) -> tuple[str, ...]:
+        """The laxity tables as the call named them."""
+        named = self.record["settings"].get("data") or ()
+        return (named,) if isinstance(named, str) else tuple(map(str, named))
 
     @property
     def data_digest(self) -> str:
