@@ -7,13 +7,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.problem import Problem, evaluate, typical_steps
+from identknee.checks.broken_convention import convention_findings
 from identknee.checks.subject_checks import rim_findings, stability_findings
 from identknee.checks.table_checks import (
     GROSS,
     IMPROBABLE,
     MOST_DEG,
     MOST_MM,
-    convention_findings,
     end_point_findings,
     frame_findings,
     load_findings,

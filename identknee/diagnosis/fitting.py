@@ -10,8 +10,8 @@ from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.problem import Evaluation, Evaluator, ProblemWithPriors
+from identknee.checks.data_noise import DataNoise, noise_of
 from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
-from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
     Projector,
     base_projector,

@@ -10,11 +10,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from identknee.diagnosis.data_noise import load_curves
+from identknee.checks.data_noise import Curve, load_curves
 from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
-from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import Protocol, shown_flexion
 from identknee.laxity.table import COORDINATES

@@ -6,7 +6,7 @@ import time
 from planted_conventions import PLANTED, clean_table
 from requirement_rows import Measure, Row, median_of
 
-from identknee.checks.table_checks import find_broken_convention
+from identknee.checks.broken_convention import find_broken_convention
 
 KNEES = ("reference", "lenhart2015_stable")
 N_CLEAN = 50  # of each knee

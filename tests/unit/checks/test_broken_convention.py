@@ -9,10 +9,10 @@ from cli_runs import run
 from planted_conventions import PLANTED, clean_table
 
 import identknee as ik
+from identknee.checks.broken_convention import find_broken_convention
+from identknee.checks.conventions import conventions_of
 from identknee.checks.table_checks import (
     WORKS_ON,
-    conventions_of,
-    find_broken_convention,
     load_sign_findings,
 )
 from identknee.laxity.protocol import LOADS
