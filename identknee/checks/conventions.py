@@ -139,8 +139,9 @@ def _of_columns() -> Iterator[Convention]:
     for columns, factor, unit, wanted in _UNITS:
         said = f"taking {kinds[columns]} for {unit} and converting them to {wanted}"
         yield Convention(what=said, factors=_scaled(columns, factor))
-    for name in (*_LENGTHS, *_ANGLES):
-        unit, factor = ("m", 1000.0) if name in _LENGTHS else ("radians", 180.0 / np.pi)
+    single = [(x, unit, factor) for x in _LENGTHS for unit, factor in (("m", 1000.0), ("cm", 10.0))]
+    single += [(x, "radians", 180.0 / np.pi) for x in _ANGLES]
+    for name, unit, factor in single:
         yield Convention(what=f"taking {name} for {unit}", factors=_scaled((name,), factor))
     yield Convention(what=f"taking {FLEXION} for radians", flexion=180.0 / np.pi)
     for kind in (_LENGTHS, _ANGLES, _MOMENTS, _FORCES):

@@ -115,7 +115,7 @@ class TrialSearch:
         if self.model.poses is not None and not self._has_all(made["the given start"].theta):
             of_each = "% of strain at the longest measured length of each ligament"
             others = progress(
-                [(f"{100 * x:.0f} {of_each}", self._stretched(start, x)) for x in STRETCHES],
+                [(f"{100 * x:.0f} {of_each}", self.stretched(start, x)) for x in STRETCHES],
                 description="looking for a start at which all trials have an equilibrium",
             )
             made |= {words: self._fit_from(theta) for words, theta in others}
@@ -165,8 +165,8 @@ class TrialSearch:
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
 
-    def _stretched(self, start: Array, stretch: float) -> Array:
-        """Theta with reference strains as the measured poses have them, kept to the bounds."""
+    def stretched(self, start: Array, stretch: float) -> Array:
+        """`start` with reference strains as the measured poses have them, kept to the bounds."""
         parameters = self.problem(self.laxity).parameters
         n, m = self.model.tied.n, len(self.model.knee.ligaments)
         theta = np.array(start)
