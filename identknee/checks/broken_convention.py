@@ -110,6 +110,7 @@ class _PutRight:
     theta: Array
     noise: _Noise
     used: BoolArray
+    n_gained: int
     before: float
     after: float
     score: float
@@ -125,6 +126,13 @@ class _PutRight:
         degrees = self.table.degrees(self.used)
         fall = max(self.before - self.after, 0.0) / max(1.0, self.after / degrees)
         return float(fdtrc(1.0, min(self.noise.degrees, 1e9), fall))
+
+    def is_named(self, n_tried: int) -> bool:
+        """Whether it explains the misfit, as one of so many that were tried."""
+        measured = self.table.measured.any(axis=1)
+        is_lost = self.n_gained < 0 or (measured & ~self.used).sum() > MOST_LOST * measured.sum()
+        is_chance = self.p_value * n_tried >= IMPROBABLE
+        return not is_lost and not is_chance and self.explains(self.after)
 
     def explains(self, square: float) -> bool:
         """Whether to leave so much of the table as it is removes nearly all, and is plausible."""
@@ -353,7 +361,8 @@ def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candida
             noise = replace(noise, sd=np.where(table.measured, 1.0, np.nan))
         linear = [(table.linearised(x, noise)[0], x) for x in table.beginnings(start, theta)]
         promised, begin = min(linear, key=lambda x: x[0])
-        if promised <= PROMISED * as_is.square(theta, noise.sd):
+        here = min(as_is.square(theta, noise.sd), as_is.linearised(theta, noise)[0])
+        if promised <= PROMISED * here:
             found.append(_Candidate(convention, table, noise, begin, promised))
     return sorted(found, key=lambda x: x.promised)[:MOST_FITS], len(seen)
 
@@ -369,31 +378,32 @@ def _is_same(one: Laxity, other: Laxity) -> bool:
 
 def _compared(as_is: _Table, theta: Array, candidate: _Candidate, n_tried: int) -> _PutRight | None:
     """The table put right beside the table as it is; None if the convention does not explain it."""
-    table, noise = candidate.table, candidate.noise
-    end = table.fitted(candidate.begin, noise)
-    for _ in range(2):
-        noise = table.noise_at(end)
-        end = table.fitted(end, noise)
-    used, measured = table.has_equilibrium(end), table.measured.any(axis=1)
-    n_lost = int(measured.sum() - used.sum())
-    if n_lost > MOST_LOST * measured.sum() or used.sum() < as_is.has_equilibrium(theta).sum():
+    table = candidate.table
+    found = _put_right(candidate, as_is, theta, table.fitted(candidate.begin, candidate.noise))
+    if not found.is_named(n_tried):
         return None
-    after, before = table.square(end, noise.sd, used), as_is.square(theta, noise.sd, used)
-    found = _PutRight(
+    # Once more with the noise as it shows itself beside a model that fits.
+    found = _put_right(candidate, as_is, theta, table.fitted(found.theta, found.noise))
+    refitted = as_is.square(as_is.fitted(theta, found.noise), found.noise.sd, found.used)
+    found = replace(found, before=min(found.before, refitted))
+    return found if found.is_named(n_tried) else None
+
+
+def _put_right(candidate: _Candidate, as_is: _Table, theta: Array, end: Array) -> _PutRight:
+    """What a fit to the table put right leaves, beside what `theta` leaves of it as it is."""
+    table = candidate.table
+    noise, used = table.noise_at(end), table.has_equilibrium(end)
+    return _PutRight(
         convention=candidate.convention,
         table=table,
         theta=end,
         noise=noise,
         used=used,
-        before=before,
-        after=after,
+        n_gained=int(used.sum() - as_is.has_equilibrium(theta).sum()),
+        before=as_is.square(theta, noise.sd, used),
+        after=table.square(end, noise.sd, used),
         score=table.square(end, candidate.noise.sd, used),
     )
-    if not found.explains(after) or found.p_value * n_tried >= IMPROBABLE:
-        return None
-    refitted = as_is.square(as_is.fitted(theta, noise), noise.sd, used)
-    found = replace(found, before=min(before, refitted))
-    return found if found.explains(after) and found.p_value * n_tried < IMPROBABLE else None
 
 
 def _has_physical_rival(as_is: _Table, theta: Array, best: _PutRight) -> bool:

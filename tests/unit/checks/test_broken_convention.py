@@ -25,7 +25,10 @@ def clean() -> tuple[ik.LaxityModel, ik.Laxity]:
     return clean_table("reference", 3)
 
 
-@pytest.mark.parametrize("name", ["varus_moment_Nm flipped", "angles in radians", "varus_deg in radians", "lengths in cm"])
+@pytest.mark.parametrize(
+    "name",
+    ["varus_moment_Nm flipped", "angles in radians", "varus_deg in radians", "lengths in cm"],
+)
 def test_a_broken_convention_is_named(name: str, clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
     broken = PLANTED[name].broken(clean[1])
     model = clean[0].with_protocol(broken.protocol)
@@ -51,9 +54,7 @@ def test_a_misfit_that_no_convention_removes_is_left_to_physics(
 def test_fit_and_diagnose_say_it_first(
     clean: tuple[ik.LaxityModel, ik.Laxity], tmp_path: Path
 ) -> None:
-    table = ik.write_laxity(
-        PLANTED["internal_deg flipped"].broken(clean[1]), tmp_path / "x.csv"
-    )
+    table = ik.write_laxity(PLANTED["internal_deg flipped"].broken(clean[1]), tmp_path / "x.csv")
     fit = ik.fit("reference", table)
     assert (fit.findings[0].code, fit.findings[0].where) == ("broken-convention", "data")
     assert fit.findings[0].values["what"] == "negating internal_deg"
