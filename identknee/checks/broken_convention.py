@@ -268,11 +268,13 @@ class _Table:
         """
         problem = ProblemWithPriors(problem=self.problem(noise))
         parameters = problem.parameters
-        rows, slopes = problem.residuals(start), problem.jacobian(start)
+        rows = problem.residuals(start)
         if not np.isfinite(rows).all():
             return np.inf, start
         # In working coordinates, in which priors are normal.
-        slopes = slopes * np.where(parameters.is_log, start, 1.0) * parameters.prior_sd
+        slopes = (
+            problem.jacobian(start) * np.where(parameters.is_log, start, 1.0) * parameters.prior_sd
+        )
         step = np.linalg.lstsq(slopes, -rows, rcond=None)[0]
         used, m = self.has_equilibrium(start), int(self.measured.sum())
         left = (rows + slopes @ step)[:m][used[np.nonzero(self.measured)[0]]]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -105,8 +106,7 @@ def estimate_correlation(
             trials, load = curve.trials[on], curve.load[on]
             degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
             if degree >= 1:
-                smooth, _ = np.linalg.qr(_powers(load, degree))
-                rough = np.eye(len(trials)) - smooth @ smooth.T
+                rough = _off_polynomials(tuple(load.tolist()), degree)
                 parts.append((rough.ravel(), np.stack(np.meshgrid(trials, trials)).reshape(2, -1)))
         left = _sparse(parts, len(used), len(used))
         if _degrees_of_freedom(left) < LEAST_DEGREES:
@@ -171,8 +171,8 @@ def estimate_scale(
             trials, load = curve.trials[on], curve.load[on]
             for start in range(len(trials) - WINDOW + 1):
                 window = slice(start, start + WINDOW)
-                whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-                parts.append((whole[:, -1], np.stack([np.full(WINDOW, n_rows), trials[window]])))
+                contrast = _contrast(tuple(load[window].tolist()))
+                parts.append((contrast, np.stack([np.full(WINDOW, n_rows), trials[window]])))
                 n_rows += 1
         contrasts = _sparse(parts, n_rows, len(used))
         degrees += _degrees_of_freedom(contrasts.T @ contrasts)
@@ -194,6 +194,21 @@ def _degrees_of_freedom(left: csr_array) -> float:
     """Degrees of freedom of the quadratic form `left`, by its first two moments."""
     squares = float(np.sum(left.data**2))
     return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
+
+
+# The same for every column and for every table of one protocol.
+@lru_cache(maxsize=1024)
+def _off_polynomials(load: tuple[float, ...], degree: int) -> Array:
+    """The projection that removes a polynomial of the load, shape ``(k, k)``."""
+    smooth, _ = np.linalg.qr(_powers(np.array(load), degree))
+    return np.asarray(np.eye(len(load)) - smooth @ smooth.T)
+
+
+@lru_cache(maxsize=1024)
+def _contrast(load: tuple[float, ...]) -> Array:
+    """What polynomials of all but the highest degree leave at zero, shape ``(k,)``."""
+    whole, _ = np.linalg.qr(_powers(np.array(load), len(load) - 2), mode="complete")
+    return np.asarray(whole[:, -1])
 
 
 def _powers(load: Array, degree: int) -> Array:
@@ -378,7 +393,9 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     sd, factors = stated, dict.fromkeys(UNITS, np.nan)
     for unit in units:
         scale = scales[unit]
-        factors[unit] = scale.sd if laxity.sd is None else _pooled_noise(scale)
+        size = scale.sd if laxity.sd is None else _pooled_noise(scale)
+        # Of data without noise nothing is rough.
+        factors[unit] = max(size, np.finfo(float).tiny)
         sd[:, UNITS[unit]] *= factors[unit]
     # What the errors of a trial share, as the same trials show it that show their size.
     if source is NoiseSource.REPLICATES:
@@ -397,7 +414,7 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
 def _pooled_noise(scale: EstimatedScale) -> float:
     """Noise over stated noise from both, by what they are worth; the data's own in doubt."""
     spread = 0.5 / scale.degrees_of_freedom
-    seen = np.log(scale.sd)
+    seen = np.log(max(scale.sd, np.finfo(float).tiny))
     if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):
         return scale.sd
     return float(np.exp(seen * STATED_SPREAD**2 / (STATED_SPREAD**2 + spread)))
