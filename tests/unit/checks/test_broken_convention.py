@@ -44,9 +44,16 @@ def test_a_broken_convention_is_named(name: str, clean: tuple[ik.LaxityModel, ik
     assert PLANTED[name].is_named(found)
 
 
-def test_nothing_is_named_in_a_clean_table(clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
+@pytest.mark.parametrize("is_stated", [True, False])
+def test_nothing_is_looked_for_in_a_table_fitted_to_the_noise_it_shows(
+    is_stated: bool,
+    clean: tuple[ik.LaxityModel, ik.Laxity],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     model, laxity = clean
-    assert find_broken_convention(model, laxity, model.parameters.start) is None
+    table = laxity if is_stated else replace(laxity, sd=None)
+    monkeypatch.delattr(broken_convention, "conventions_of")
+    assert find_broken_convention(model, table, model.parameters.start) is None
 
 
 def test_a_misfit_that_no_convention_removes_is_left_to_physics(
