@@ -59,6 +59,12 @@ for finding in fit.findings:
 
 # %%
 # So these parameters are not this knee's. Fourteen bundles in place of four lines come closer
-# (``s192803_bundles``), and insertions taken as uncertain too (``insertions=2mm``). What else is
-# missing is a question for ``ik.diagnose(knee, data)``, which takes a few minutes here. On the
-# command line: ``identknee fit s192803 s192803 --uncertain registration=4deg,registration=4mm``.
+# (``s192803_bundles``), and insertions taken as uncertain too (``insertions=4mm``). What else is
+# missing is asked with a stated noise, which takes a few minutes::
+#
+#     ik.diagnose(knee, data, noise="1mm,1deg",
+#                 uncertain="registration=4deg,registration=4mm,insertions=4mm")
+#
+# In study 15 this call finds seven causes that fit, a rotated frame of the tibia first, and advises
+# the trials that tell them apart. On the command line the fit above is
+# ``identknee fit s192803 s192803 --uncertain registration=4deg,registration=4mm``.

@@ -7,13 +7,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.problem import Problem, evaluate, typical_steps
+from identknee.checks.broken_convention import convention_findings
 from identknee.checks.subject_checks import rim_findings, stability_findings
 from identknee.checks.table_checks import (
     GROSS,
     IMPROBABLE,
     MOST_DEG,
     MOST_MM,
-    convention_findings,
     end_point_findings,
     frame_findings,
     load_findings,
@@ -33,7 +33,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, Severity, finding, without_repeats
+from identknee.runs.findings import Finding, finding, without_repeats
 from identknee.runs.words import (
     amount,
     error_words,
@@ -539,8 +539,8 @@ def check_fit(
 ) -> tuple[Finding, ...]:
     """What speaks against a fit, the gravest first.
 
-    Where the misfit is more than noise, or a bound is active, conventions of the table are looked
-    at first: a broken one explains trials that contradict one another, which are then not listed.
+    Conventions of the table are looked at first: a broken one explains trials that contradict one
+    another, which are then not listed.
 
     Parameters
     ----------
@@ -550,6 +550,7 @@ def check_fit(
         What else was found, such as trials lost and starts that disagree.
     """
     model, laxity, theta = fitted.model, fitted.laxity, fitted.prediction.theta
+    whole = fitted.table
     found = [
         *others,
         *fitted.misfit,
@@ -557,14 +558,13 @@ def check_fit(
         *rim_findings(model.protocol.trials, fitted.prediction),
         *implausible_findings(model, fitted.prediction),
     ]
-    table = table_findings(model, fitted.table)
-    is_doubtful = any(x.severity is not Severity.INFO for x in fitted.misfit)
-    if is_doubtful and (conventions := convention_findings(model, laxity, fitted.start, theta)):
+    table = table_findings(model, whole)
+    if conventions := convention_findings(model, whole, fitted.start, theta):
         return without_repeats((*conventions, *table, *found))
     rows = row_findings(model, laxity, theta, fixed=fitted.held)
     # Trials that the table alone contradicts, where fits begin at its poses.
     named = {x.where for x in rows}
-    by_table = end_point_findings(fitted.table) if model.poses is not None else ()
+    by_table = end_point_findings(whole) if model.poses is not None else ()
     by_table = tuple(x for x in by_table if x.where not in named)
     return without_repeats((*table, *by_table, *rows, *found))
 
@@ -574,8 +574,8 @@ def check_unfitted(
 ) -> tuple[Finding, ...]:
     """What the table alone says where no fit could begin, beside what else was found."""
     trials = end_point_findings(laxity)
-    signs = load_sign_findings(laxity)
-    return without_repeats((*signs, *table_findings(model, laxity), *trials, *others))
+    conventions = convention_findings(model, laxity, model.parameters.start)
+    return without_repeats((*conventions, *table_findings(model, laxity), *trials, *others))
 
 
 def table_findings(model: LaxityModel, laxity: Laxity) -> tuple[Finding, ...]:

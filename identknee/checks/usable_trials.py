@@ -120,7 +120,7 @@ class TrialSearch:
         if self.model.poses is not None and not self._has_all(made["the given start"].theta):
             of_each = "% of strain at the longest measured length of each ligament"
             others = progress(
-                [(f"{100 * x:.0f} {of_each}", self._stretched(start, x)) for x in STRETCHES],
+                [(f"{100 * x:.0f} {of_each}", self.stretched(start, x)) for x in STRETCHES],
                 description="looking for a start at which all trials have an equilibrium",
             )
             made |= {words: self._fit_from(theta) for words, theta in others}
@@ -170,8 +170,8 @@ class TrialSearch:
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
         return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
 
-    def _stretched(self, start: Array, stretch: float) -> Array:
-        """Theta with reference strains as the measured poses have them, kept to the bounds."""
+    def stretched(self, start: Array, stretch: float) -> Array:
+        """`start` with reference strains as the measured poses have them, kept to the bounds."""
         parameters = self.problem(self.laxity).parameters
         n, m = self.model.tied.n, len(self.model.knee.ligaments)
         theta = np.array(start)
@@ -233,10 +233,15 @@ def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0
     return np.clip(starts, parameters.lower, parameters.upper)
 
 
-def defined_everywhere(residuals: LaxityResiduals) -> Problem:
+def held_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
     """The residuals, also where trials have no equilibrium: they are held near measured poses."""
     held = HeldTrials(model=residuals.model, laxity=residuals.laxity)
-    return with_forces(replace(residuals, held=held))
+    return replace(residuals, held=held)
+
+
+def defined_everywhere(residuals: LaxityResiduals) -> Problem:
+    """The same with the measured forces of trials that have an equilibrium."""
+    return with_forces(held_everywhere(residuals))
 
 
 def with_forces(residuals: LaxityResiduals) -> Problem:

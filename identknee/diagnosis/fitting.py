@@ -16,8 +16,8 @@ from identknee.calibrate.problem import (
     ProblemWithPriors,
     evidence_terms,
 )
+from identknee.checks.data_noise import DataNoise, noise_of
 from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
-from identknee.diagnosis.data_noise import DataNoise, noise_of
 from identknee.diagnosis.misfit import (
     Projector,
     base_projector,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from identknee.calibrate.fit import load_start
+from identknee.checks.data_noise import DataNoise
 from identknee.checks.fit_checks import (
     bound_findings,
     ligament_findings,
@@ -14,7 +15,6 @@ from identknee.checks.fit_checks import (
 from identknee.checks.subject_checks import stability_findings
 from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
-from identknee.diagnosis.data_noise import DataNoise
 from identknee.diagnosis.fitting import (
     BaseFit,
     Refit,

@@ -1,53 +1,20 @@
 """The covariance of measured laxity, and values in units in which its errors are independent."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.sparse import csr_array
 
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import marginal_covariance
 
-# Degree of the polynomial that is removed along a load curve; the residuals are the noise.
-CURVE_DEGREE = 4
-# Degrees of freedom that a polynomial must leave, or the curve is not used.
-LEAST_LEFT = 2
-# Degrees of freedom in all below which a correlation or a standard deviation is not estimated.
-LEAST_DEGREES = 8.0
-# Consecutive points whose deviation from a cubic is one look at the noise.
-WINDOW = 5
-# Share of normal errors within one standard deviation, and the efficiency of that quantile.
-WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
 # Standard deviations that a measurement in mm or deg may have; squares of these keep their digits.
 SMALLEST, LARGEST = 1e-9, 1e6
-# A covariance beyond these is singular or nearly so, whatever the estimate says.
-LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 # Values whitened at once; a table of up to a hundred trials is one block.
 BLOCK = 500
-
-
-@declared
-class Curve:
-    """Trials of one flexion angle that differ in one load, in the order of that load.
-
-    Raises
-    ------
-    ValueError
-        If the loads do not increase or are not one for each trial.
-    """
-
-    trials: IntArray = array(
-        "Rows of the table. A trial without load may be on several curves", "trial", dtype=int
-    )
-    load: Array = array("The load of each, increasing, in any unit", "trial")
-
-    def __post_init__(self) -> None:
-        if np.any(np.diff(self.load) <= 0):
-            raise ValueError("the loads of a curve must increase; sort its trials, one for a load")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -253,129 +220,3 @@ def build_noise_model(
             "distinguished from zero beside what the model does not know; state the noise of the "
             "measurement"
         ) from None
-
-
-def estimate_correlation(
-    residuals: Array, is_measured: BoolArray, curves: Sequence[Curve]
-) -> float | None:
-    """The correlation that the errors of a trial share, or None where the data are too few.
-
-    A quartic is removed along every load curve, so that smooth misfit does not pass for noise; on
-    short curves the degree is lower. What is left is correlated between coordinates, averaged over
-    all pairs.
-
-    Parameters
-    ----------
-    residuals
-        Measured less predicted, in units of the stated standard deviations (or with one standard
-        deviation a coordinate), shape ``(n, 5)``; read where measured.
-    is_measured
-        Which values there are, shape ``(n, 5)``.
-    curves
-        The load curves of the protocol.
-    """
-    found = []
-    for first, second in combinations(range(residuals.shape[1]), 2):
-        used = is_measured[:, first] & is_measured[:, second]
-        # The sum over curves of the projections that remove a polynomial, shape ``(n, n)``.
-        parts = [(np.zeros(0), np.zeros((2, 0), int))]
-        for curve in curves:
-            on = used[curve.trials]
-            trials, load = curve.trials[on], curve.load[on]
-            degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
-            if degree >= 1:
-                smooth, _ = np.linalg.qr(_powers(load, degree))
-                rough = np.eye(len(trials)) - smooth @ smooth.T
-                parts.append((rough.ravel(), np.stack(np.meshgrid(trials, trials)).reshape(2, -1)))
-        left = _sparse(parts, len(used), len(used))
-        if _degrees_of_freedom(left) < LEAST_DEGREES:
-            continue
-        pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
-        products = pair.T @ (left @ pair)
-        size = np.sqrt(products[0, 0] * products[1, 1])
-        if size > 0:
-            found.append(products[0, 1] / size)
-    if not found:
-        return None
-    return float(np.clip(np.mean(found), LEAST_CORRELATION, MOST_CORRELATION))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimatedScale:
-    """The size of the noise as the roughness of load curves shows it.
-
-    Attributes
-    ----------
-    sd
-        Standard deviation, in the unit of the values.
-    degrees_of_freedom
-        What the estimate is worth.
-    """
-
-    sd: float
-    degrees_of_freedom: float
-
-
-def estimate_scale(
-    values: Array, is_measured: BoolArray, curves: Sequence[Curve]
-) -> EstimatedScale | None:
-    """The common noise of some columns from how their curves deviate from a cubic on five points.
-
-    The pure error of data without replicates. Kinks of a curve and outliers must not count as
-    noise: what 68 % of the deviations stay below is one standard deviation, however large the
-    others are. None where there are too few points.
-
-    Parameters
-    ----------
-    values
-        Measured less predicted, or the measured values, in units of their noise up to one common
-        factor, shape ``(n, k)``; read where measured.
-    is_measured
-        Which values there are, shape ``(n, k)``.
-    curves
-        The load curves of the protocol.
-
-    References
-    ----------
-    T. Gasser, L. Sroka and C. Jennen-Steinmetz, Residual variance and residual pattern in nonlinear
-    regression, Biometrika 73 (1986) 625-633, doi:10.1093/biomet/73.3.625.
-    """
-    found, degrees = [], 0.0
-    for column in range(values.shape[1]):
-        used = is_measured[:, column]
-        # Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``.
-        parts, n_rows = [(np.zeros(0), np.zeros((2, 0), int))], 0
-        for curve in curves:
-            on = used[curve.trials]
-            trials, load = curve.trials[on], curve.load[on]
-            for start in range(len(trials) - WINDOW + 1):
-                window = slice(start, start + WINDOW)
-                whole, _ = np.linalg.qr(_powers(load[window], WINDOW - 2), mode="complete")
-                parts.append((whole[:, -1], np.stack([np.full(WINDOW, n_rows), trials[window]])))
-                n_rows += 1
-        contrasts = _sparse(parts, n_rows, len(used))
-        degrees += _degrees_of_freedom(contrasts.T @ contrasts)
-        found.append(contrasts @ np.where(used, values[:, column], 0.0))
-    degrees *= QUANTILE_EFFICIENCY
-    if degrees < LEAST_DEGREES:
-        return None
-    sd = float(np.quantile(np.abs(np.concatenate(found)), WITHIN_ONE_SD))
-    return EstimatedScale(sd=sd, degrees_of_freedom=degrees)
-
-
-def _sparse(parts: Sequence[tuple[Array, IntArray]], rows: int, columns: int) -> csr_array:
-    """The sum of entries given with their places (2, k), shape ``(rows, columns)``."""
-    values, places = zip(*parts, strict=True)
-    return csr_array((np.concatenate(values), np.concatenate(places, axis=1)), (rows, columns))
-
-
-def _degrees_of_freedom(left: csr_array) -> float:
-    """Degrees of freedom of the quadratic form `left`, by its first two moments."""
-    squares = float(np.sum(left.data**2))
-    return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
-
-
-def _powers(load: Array, degree: int) -> Array:
-    """Powers of the load scaled to -1 to 1, shape ``(k, degree + 1)``."""
-    middle, half = (load[-1] + load[0]) / 2, (load[-1] - load[0]) / 2
-    return np.vander((load - middle) / half, degree + 1)

@@ -132,6 +132,13 @@ def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
     )
 
 
+def series_words(protocol: Protocol, trial: int) -> tuple[str, ...]:
+    """Experiment and state of a trial; empty where all trials are of one."""
+    if not protocol.series.any():
+        return ()
+    return tuple(x[trial] for x in (protocol.experiment, protocol.state) if x is not None)
+
+
 @declared
 class LaxityGroup:
     """Outputs of one kind: a coordinate at a flexion angle under a kind of load."""

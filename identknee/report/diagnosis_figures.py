@@ -10,15 +10,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from identknee.diagnosis.data_noise import load_curves
+from identknee.checks.data_noise import Curve, load_curves
 from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
-from identknee.diagnosis.noise_model import Curve
 from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import Protocol, shown_flexion
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.trial_words import load_label
+from identknee.laxity.trial_words import load_label, series_words
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare, legend_below
@@ -163,7 +162,10 @@ def residuals_figure(
             if i != axis and x != 0.0
         ]
         grid[0, column].set_title(
-            "\n".join([f"{protocol.flexion_deg[trial]:g} deg", *others]), fontsize=SMALL
+            "\n".join(
+                [f"{protocol.flexion_deg[trial]:g} deg", *others, *series_words(protocol, trial)]
+            ),
+            fontsize=SMALL,
         )
         grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):

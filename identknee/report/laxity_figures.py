@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from identknee.diagnosis.data_noise import load_curves
-from identknee.diagnosis.noise_model import Curve
+from identknee.checks.data_noise import Curve, load_curves
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
+from identknee.laxity.trial_words import series_words
 from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES, bare, legend_below
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry
@@ -67,20 +67,21 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     if not cells:
         return None
     rows = sorted({axis for axis, _ in cells})
-    angles = sorted({angle for _, angle in cells})
-    figure = Figure(figsize=(1.0 + 2.7 * len(angles), 0.7 + 2.5 * len(rows)), layout="constrained")
-    grid = figure.subplots(len(rows), len(angles), squeeze=False, sharex="row", sharey="row")
+    settings = sorted({x for _, x in cells})
+    size = (1.0 + 2.7 * len(settings), 0.7 + 2.5 * len(rows))
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rows), len(settings), squeeze=False, sharex="row", sharey="row")
     for row, axis in enumerate(rows):
         coordinate = COORDINATES.index(ALONG[LOADS[axis]])
-        for column, angle in enumerate(angles):
+        for column, setting in enumerate(settings):
             axes = grid[row, column]
-            if (axis, angle) not in cells:
+            if (axis, setting) not in cells:
                 axes.set_visible(False)
                 continue
-            _draw(axes, curves, cells[axis, angle], coordinate)
+            _draw(axes, curves, cells[axis, setting], coordinate)
             axes.set_xlabel(label(LOADS[axis]), fontsize=SMALL + 1)
             if row == 0:
-                axes.set_title(f"{angle:g} deg flexion", fontsize=10)
+                axes.set_title(_title(curves.protocol, setting), fontsize=10)
         grid[row, 0].set_ylabel(label(COORDINATES[coordinate]), fontsize=SMALL + 1)
     shown = next(x for x in grid.flat if x.get_visible())
     legend_below(figure, *shown.get_legend_handles_labels(), columns=9)
@@ -94,10 +95,10 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
         return None
     figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
     grid = figure.subplots(len(COORDINATES), len(cells), squeeze=False, sharex="col", sharey="row")
-    for column, ((axis, angle), curve) in enumerate(sorted(cells.items(), key=lambda x: x[0])):
+    for column, ((axis, setting), curve) in enumerate(sorted(cells.items(), key=lambda x: x[0])):
         for row in range(len(COORDINATES)):
             _draw(grid[row, column], curves, curve, row)
-        grid[0, column].set_title(f"{angle:g} deg flexion", fontsize=SMALL + 1)
+        grid[0, column].set_title(_title(curves.protocol, setting), fontsize=SMALL + 1)
         grid[-1, column].set_xlabel(label(LOADS[axis]), fontsize=SMALL)
     for row, coordinate in enumerate(COORDINATES):
         grid[row, 0].set_ylabel(label(coordinate), fontsize=SMALL)
@@ -135,13 +136,26 @@ def by_flexion_figure(curves: LaxityCurves) -> Figure:
     return figure
 
 
-def _least_combined(protocol: Protocol) -> dict[tuple[int, float], Curve]:
-    """By load and angle its curve; of several the one with the least of the other loads."""
-    cells: dict[tuple[int, float], tuple[float, Curve]] = {}
+# Number of the experiment and state of trials, and their flexion angle.
+Setting = tuple[int, float]
+
+
+def _title(protocol: Protocol, setting: Setting) -> str:
+    """Angle of the trials of a panel, and where there are several their experiment and state."""
+    number, angle = setting
+    trial = int(np.flatnonzero(protocol.series == number)[0])
+    return "\n".join([f"{angle:g} deg flexion", *series_words(protocol, trial)])
+
+
+def _least_combined(protocol: Protocol) -> dict[tuple[int, Setting], Curve]:
+    """By load and setting its curve; of several the one with the least of the other loads."""
+    cells: dict[tuple[int, Setting], tuple[float, Curve]] = {}
+    series = protocol.series
     for curve in load_curves(protocol):
         loads = protocol.loads[curve.trials]
         axis = int(np.argmax(np.ptp(loads, axis=0)))
-        key = axis, float(protocol.flexion_deg[curve.trials[0]])
+        first = curve.trials[0]
+        key = axis, (int(series[first]), float(protocol.flexion_deg[first]))
         others = float(np.abs(np.delete(loads, axis, axis=1)).max(initial=0.0))
         if key not in cells or others < cells[key][0]:
             cells[key] = others, curve

@@ -7,12 +7,13 @@ from typing import Any, Unpack
 import numpy as np
 from typing_extensions import override
 
+from identknee.checks.broken_convention import convention_findings
+from identknee.checks.data_noise import NoiseSource, noise_of
 from identknee.checks.fit_checks import implausible_findings
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,
     columns_by_trial,
-    convention_findings,
     end_point_findings,
     leave_one_out,
     suspicious_end_points,
@@ -27,7 +28,6 @@ from identknee.checks.usable_trials import (
 )
 from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
-from identknee.diagnosis.data_noise import NoiseSource, noise_of
 from identknee.diagnosis.fitting import Refit, Rival, RivalState, with_wider_priors
 from identknee.diagnosis.gain import (
     Assessment,

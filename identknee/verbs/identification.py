@@ -75,7 +75,8 @@ class Identification:
     """Measured laxity and the model of it, ready to be asked what they determine."""
 
     knee: Knee = entry("The subject")
-    laxity: Laxity = entry("The data")
+    laxity: Laxity = entry("The data, cells of trials without equilibrium blank")
+    table: Laxity = entry("All of the data")
     model: LaxityModel = entry("The model under the protocol of the data")
     problem: Problem = entry("Residuals in units of their noise, over the parameters not fixed")
     everywhere: Problem = entry(
@@ -146,7 +147,7 @@ class Identification:
         fitted = Fitted(
             model=self.model,
             laxity=self.laxity,
-            table=self.laxity,
+            table=self.table,
             start=self.free.expand(self.start),
             prediction=self.model.predict_once(whole),
             held=tuple(held),
@@ -289,6 +290,7 @@ def identification(
     return Identification(
         knee=knee,
         laxity=laxity,
+        table=trials.laxity,
         model=model,
         problem=problem,
         everywhere=everywhere,

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identknee.checks.data_noise import Curve
 from identknee.diagnosis.misfit import Projector, base_projector
-from identknee.diagnosis.noise_model import Curve, NoiseModel, build_noise_model
+from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score import Signature
 from identknee.runs.arrays import Array, BoolArray
 

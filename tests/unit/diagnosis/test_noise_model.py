@@ -7,13 +7,9 @@ import pytest
 from linear_data import everything, protocol, unit_noise
 from tolerances import CLOSED_FORM
 
+from identknee.checks.data_noise import Curve, estimate_correlation, estimate_scale
 from identknee.diagnosis import noise_model
-from identknee.diagnosis.noise_model import (
-    Curve,
-    build_noise_model,
-    estimate_correlation,
-    estimate_scale,
-)
+from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.arrays import Array
 
 N_DATA_SETS = 60

@@ -7,15 +7,17 @@ import pytest
 from tolerances import CLOSED_FORM
 
 import identknee as ik
+from identknee.checks.data_noise import load_curves, replicates_of
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
+from identknee.laxity.protocol import concatenate
 from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names, structure_values
 from identknee.model.prediction import Prediction
-from identknee.model.residuals import LaxityResiduals, shared_errors
+from identknee.model.residuals import LaxityResiduals, largest_loads, shared_errors
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 
@@ -253,3 +255,26 @@ def test_causes_of_a_rig_are_tried_for_each_rig() -> None:
     gain = next(x for x in several if x.name == "hand/moment_gain_IE")
     assert gain.parameters.lower[0] < -0.6
     assert causes_in_experiments(causes, TRIALS) == tuple(causes)
+
+
+def test_trials_of_other_states_are_no_replicates() -> None:
+    """Nor points of one load curve, nor the largest load of another state."""
+    laxity = _laxity({"a": "intact", "b": "cut: MCL"})
+    groups = replicates_of(laxity).group
+    assert len(np.unique(groups)) == laxity.n
+    seed = ik.load_protocol("seed63")
+    both = concatenate(
+        [
+            seed,
+            replace(
+                seed,
+                trials=tuple(f"{x}_cut" for x in seed.trials),
+                state=("cut: MCL",) * seed.n,
+            ),
+        ]
+    )
+    alone = load_curves(seed)
+    curves = load_curves(both)
+    assert len(curves) == 2 * len(alone)
+    assert all(len(set(both.series[x.trials])) == 1 for x in curves)
+    assert len(largest_loads(both)) == 2 * len(largest_loads(seed))

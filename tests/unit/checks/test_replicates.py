@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.diagnosis.data_noise import DataNoise, NoiseSource, noise_of
+from identknee.checks.data_noise import DataNoise, NoiseSource, noise_of
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
 from identknee.runs.arrays import Array

@@ -1,24 +1,31 @@
 """The noise of measured laxity and its correlation, from the data."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from identknee.diagnosis.noise_model import (
-    LEAST_CORRELATION,
-    LEAST_DEGREES,
-    MOST_CORRELATION,
-    Curve,
-    EstimatedScale,
-    estimate_correlation,
-    estimate_scale,
-)
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 
+# Degree of the polynomial that is removed along a load curve; the residuals are the noise.
+CURVE_DEGREE = 4
+# Degrees of freedom that a polynomial must leave, or the curve is not used.
+LEAST_LEFT = 2
+# Degrees of freedom in all below which a correlation or a standard deviation is not estimated.
+LEAST_DEGREES = 8.0
+# Consecutive points whose deviation from a cubic is one look at the noise.
+WINDOW = 5
+# Share of normal errors within one standard deviation, and the efficiency of that quantile.
+WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
+# A covariance beyond these is singular or nearly so, whatever the estimate says.
+LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 LEAST_POINTS = 3
 # Fewer degrees of freedom say less about the noise than a stated standard deviation does.
 TRUSTED_DEGREES = 40.0
@@ -28,8 +35,28 @@ UNITS = {"mm": TRANSLATIONS, "deg": ROTATIONS}
 STATED_SPREAD, DOUBT = 0.2, 3.0
 
 
+@declared
+class Curve:
+    """Trials of one flexion angle that differ in one load, in the order of that load.
+
+    Raises
+    ------
+    ValueError
+        If the loads do not increase or are not one for each trial.
+    """
+
+    trials: IntArray = array(
+        "Rows of the table. A trial without load may be on several curves", "trial", dtype=int
+    )
+    load: Array = array("The load of each, increasing, in any unit", "trial")
+
+    def __post_init__(self) -> None:
+        if np.any(np.diff(self.load) <= 0):
+            raise ValueError("the loads of a curve must increase; sort its trials, one for a load")
+
+
 def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
-    """Curves of at least three trials of one flexion angle and one varying load.
+    """Curves of at least three trials of one flexion angle, state and one varying load.
 
     The other loads are the same all along a curve. A trial without load may be on several curves;
     of replicates the first is on it.
@@ -37,7 +64,7 @@ def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
     curves = []
     for axis in range(len(LOADS)):
         others = np.delete(protocol.loads, axis, axis=1)
-        setting = np.column_stack([protocol.flexion_deg, others])
+        setting = np.column_stack([protocol.series, protocol.flexion_deg, others])
         _, place, count = np.unique(setting, axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(place.ravel(), kind="stable")
         for end, n in zip(np.cumsum(count).tolist(), count.tolist(), strict=True):
@@ -48,6 +75,146 @@ def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
             if len(load) >= LEAST_POINTS:
                 curves.append(Curve(trials=members[first], load=load))
     return tuple(curves)
+
+
+def estimate_correlation(
+    residuals: Array, is_measured: BoolArray, curves: Sequence[Curve]
+) -> float | None:
+    """The correlation that the errors of a trial share, or None where the data are too few.
+
+    A quartic is removed along every load curve, so that smooth misfit does not pass for noise; on
+    short curves the degree is lower. What is left is correlated between coordinates, averaged over
+    all pairs.
+
+    Parameters
+    ----------
+    residuals
+        Measured less predicted, in units of the stated standard deviations (or with one standard
+        deviation a coordinate), shape ``(n, 5)``; read where measured.
+    is_measured
+        Which values there are, shape ``(n, 5)``.
+    curves
+        The load curves of the protocol.
+    """
+    found = []
+    for first, second in combinations(range(residuals.shape[1]), 2):
+        used = is_measured[:, first] & is_measured[:, second]
+        # The sum over curves of the projections that remove a polynomial, shape ``(n, n)``.
+        parts = [(np.zeros(0), np.zeros((2, 0), int))]
+        for curve in curves:
+            on = used[curve.trials]
+            trials, load = curve.trials[on], curve.load[on]
+            degree = min(CURVE_DEGREE, len(trials) - 1 - LEAST_LEFT)
+            if degree >= 1:
+                rough = _off_polynomials(tuple(load.tolist()), degree)
+                parts.append((rough.ravel(), np.stack(np.meshgrid(trials, trials)).reshape(2, -1)))
+        left = _sparse(parts, len(used), len(used))
+        if _degrees_of_freedom(left) < LEAST_DEGREES:
+            continue
+        pair = np.where(used[:, None], residuals[:, [first, second]], 0.0)
+        products = pair.T @ (left @ pair)
+        size = np.sqrt(products[0, 0] * products[1, 1])
+        if size > 0:
+            found.append(products[0, 1] / size)
+    if not found:
+        return None
+    return float(np.clip(np.mean(found), LEAST_CORRELATION, MOST_CORRELATION))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatedScale:
+    """The size of the noise as the roughness of load curves shows it.
+
+    Attributes
+    ----------
+    sd
+        Standard deviation, in the unit of the values.
+    degrees_of_freedom
+        What the estimate is worth.
+    """
+
+    sd: float
+    degrees_of_freedom: float
+
+
+def estimate_scale(
+    values: Array, is_measured: BoolArray, curves: Sequence[Curve]
+) -> EstimatedScale | None:
+    """The common noise of some columns from how their curves deviate from a cubic on five points.
+
+    The pure error of data without replicates. Kinks of a curve and outliers must not count as
+    noise: what 68 % of the deviations stay below is one standard deviation, however large the
+    others are. None where there are too few points.
+
+    Parameters
+    ----------
+    values
+        Measured less predicted, or the measured values, in units of their noise up to one common
+        factor, shape ``(n, k)``; read where measured.
+    is_measured
+        Which values there are, shape ``(n, k)``.
+    curves
+        The load curves of the protocol.
+
+    References
+    ----------
+    T. Gasser, L. Sroka and C. Jennen-Steinmetz, Residual variance and residual pattern in nonlinear
+    regression, Biometrika 73 (1986) 625-633, doi:10.1093/biomet/73.3.625.
+    """
+    found, degrees = [], 0.0
+    for column in range(values.shape[1]):
+        used = is_measured[:, column]
+        # Contrasts of five consecutive points that a cubic leaves at zero, a row each, ``(c, n)``.
+        parts, n_rows = [(np.zeros(0), np.zeros((2, 0), int))], 0
+        for curve in curves:
+            on = used[curve.trials]
+            trials, load = curve.trials[on], curve.load[on]
+            for start in range(len(trials) - WINDOW + 1):
+                window = slice(start, start + WINDOW)
+                contrast = _contrast(tuple(load[window].tolist()))
+                parts.append((contrast, np.stack([np.full(WINDOW, n_rows), trials[window]])))
+                n_rows += 1
+        contrasts = _sparse(parts, n_rows, len(used))
+        degrees += _degrees_of_freedom(contrasts.T @ contrasts)
+        found.append(contrasts @ np.where(used, values[:, column], 0.0))
+    degrees *= QUANTILE_EFFICIENCY
+    if degrees < LEAST_DEGREES:
+        return None
+    sd = float(np.quantile(np.abs(np.concatenate(found)), WITHIN_ONE_SD))
+    return EstimatedScale(sd=sd, degrees_of_freedom=degrees)
+
+
+def _sparse(parts: Sequence[tuple[Array, IntArray]], rows: int, columns: int) -> csr_array:
+    """The sum of entries given with their places (2, k), shape ``(rows, columns)``."""
+    values, places = zip(*parts, strict=True)
+    return csr_array((np.concatenate(values), np.concatenate(places, axis=1)), (rows, columns))
+
+
+def _degrees_of_freedom(left: csr_array) -> float:
+    """Degrees of freedom of the quadratic form `left`, by its first two moments."""
+    squares = float(np.sum(left.data**2))
+    return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
+
+
+# The same for every column and for every table of one protocol.
+@lru_cache(maxsize=1024)
+def _off_polynomials(load: tuple[float, ...], degree: int) -> Array:
+    """The projection that removes a polynomial of the load, shape ``(k, k)``."""
+    smooth, _ = np.linalg.qr(_powers(np.array(load), degree))
+    return np.asarray(np.eye(len(load)) - smooth @ smooth.T)
+
+
+@lru_cache(maxsize=1024)
+def _contrast(load: tuple[float, ...]) -> Array:
+    """What polynomials of all but the highest degree leave at zero, shape ``(k,)``."""
+    whole, _ = np.linalg.qr(_powers(np.array(load), len(load) - 2), mode="complete")
+    return np.asarray(whole[:, -1])
+
+
+def _powers(load: Array, degree: int) -> Array:
+    """Powers of the load scaled to -1 to 1, shape ``(k, degree + 1)``."""
+    middle, half = (load[-1] + load[0]) / 2, (load[-1] - load[0]) / 2
+    return np.vander((load - middle) / half, degree + 1)
 
 
 @declared
@@ -78,10 +245,10 @@ class Replicates:
 
 
 def replicates_of(laxity: Laxity) -> Replicates:
-    """Which trials of the data are equal."""
+    """Which trials of the data are equal: in one experiment and state of the knee."""
     protocol = laxity.protocol
     _, phase = np.unique(laxity.phase or ("",) * laxity.n, return_inverse=True)
-    settings = np.column_stack([protocol.flexion_deg, protocol.loads, phase])
+    settings = np.column_stack([protocol.series, protocol.flexion_deg, protocol.loads, phase])
     group = np.unique(settings, axis=0, return_inverse=True)[1]
     return Replicates(group=group.ravel(), is_measured=laxity.is_measured)
 
@@ -226,7 +393,9 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     sd, factors = stated, dict.fromkeys(UNITS, np.nan)
     for unit in units:
         scale = scales[unit]
-        factors[unit] = scale.sd if laxity.sd is None else _pooled_noise(scale)
+        size = scale.sd if laxity.sd is None else _pooled_noise(scale)
+        # Of data without noise nothing is rough.
+        factors[unit] = max(size, np.finfo(float).tiny)
         sd[:, UNITS[unit]] *= factors[unit]
     # What the errors of a trial share, as the same trials show it that show their size.
     if source is NoiseSource.REPLICATES:
@@ -245,7 +414,7 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
 def _pooled_noise(scale: EstimatedScale) -> float:
     """Noise over stated noise from both, by what they are worth; the data's own in doubt."""
     spread = 0.5 / scale.degrees_of_freedom
-    seen = np.log(scale.sd)
+    seen = np.log(max(scale.sd, np.finfo(float).tiny))
     if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):
         return scale.sd
     return float(np.exp(seen * STATED_SPREAD**2 / (STATED_SPREAD**2 + spread)))

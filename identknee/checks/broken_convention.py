@@ -1,0 +1,446 @@
+"""Which broken convention explains why a model does not fit a table."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import ProblemWithPriors, WhitenedResiduals
+from identknee.checks.conventions import Convention, conventions_of
+from identknee.checks.data_noise import STATED_SPREAD, UNITS, noise_of
+from identknee.checks.table_checks import (
+    IMPROBABLE,
+    MOST_DEG,
+    MOST_MM,
+    load_sign_findings,
+    root_mean_square,
+)
+from identknee.checks.usable_trials import STRETCHES, TrialSearch, held_everywhere
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
+from identknee.model.effects.effect import Effect
+from identknee.model.effects.library import library
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.nuisances import Registration
+from identknee.model.residuals import LaxityResiduals
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding, finding
+
+# Share of the misfit that a convention has to remove, and share of it that the linear model has to
+# leave at most before a fit is made.
+REMOVED, PROMISED = 0.9, 0.6
+MOST_FITS = 6
+BUDGET = 80
+# Share of the measured trials that may have no equilibrium in the table put right.
+MOST_LOST = 0.2
+# Another convention that leaves no more than so many times the misfit is as good.
+AS_GOOD = 1.5
+# Where no noise is known, the misfit that is left is taken for it: so many times must be removed.
+FALL = 2.0
+# A physical cause is fitted if the linear model promises no more than so many times the misfit.
+LIKELY = 3.0
+MOST_CAUSES = 3
+# How far the measured frames may lie from those of the geometry.
+FRAMES_DEG, FRAMES_MM = 5.0, 5.0
+# mm and deg; by less no instrument errs.
+LEAST_NOISE = 0.02
+# What a stated noise is worth, if it is right to 20 %.
+STATED_DEGREES = 0.5 / STATED_SPREAD**2
+
+
+@declared
+class BrokenConvention:
+    """A convention whose change removes nearly all of the misfit, and leaves a plausible one."""
+
+    what: str = entry("The change of the table that puts it right")
+    removed: float = entry("Share of the misfit that it removes", unit="1")
+    mm_before: float = entry("Error of the lengths in the table as it is", unit="mm")
+    deg_before: float = entry("Error of the angles in the table as it is", unit="deg")
+    mm_after: float = entry("Error of the lengths in the table put right", unit="mm")
+    deg_after: float = entry("Error of the angles in the table put right", unit="deg")
+    others: tuple[str, ...] = entry("Other changes that do as well")
+
+    @property
+    def sentence(self) -> str:
+        """What was found and what to do."""
+        sizes = ((self.mm_before, self.mm_after, "mm"), (self.deg_before, self.deg_after, "deg"))
+        known = [x for x in sizes if np.isfinite(x[0]) and np.isfinite(x[1])]
+        falls = " and ".join(f"from {a:.3g} to {b:.3g} {unit}" for a, b, unit in known)
+        also = f" So does {' or '.join(self.others)}." if self.others else ""
+        what = self.what[:1].upper() + self.what[1:]
+        return (
+            f"{what} removes {min(100.0 * self.removed, 99.0):.0f} % of the misfit (the error "
+            f"falls {falls}), and what is left is plausible: the table violates this convention, "
+            f"and no fit to it is valid.{also} Correct the table and repeat the command."
+        )
+
+    @property
+    def finding(self) -> Finding:
+        """As an answer reports it."""
+        values = {
+            "what": self.what,
+            "removed_share": self.removed,
+            "before_mm": self.mm_before,
+            "after_mm": self.mm_after,
+            "before_deg": self.deg_before,
+            "after_deg": self.deg_after,
+            "others": self.others,
+        }
+        return finding("broken-convention", "data", values, sentence=self.sentence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Noise:
+    """Standard deviations (n, 5), what they are worth, and whether more than a fit shows them."""
+
+    sd: Array
+    degrees: float
+    is_known: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PutRight:
+    """A fit to the table put right, and what it leaves beside the table as it is."""
+
+    convention: Convention
+    table: "_Table"
+    theta: Array
+    noise: _Noise
+    used: BoolArray
+    n_gained: int
+    before: float
+    after: float
+    score: float
+
+    @property
+    def removed(self) -> float:
+        """Share of the misfit beyond the noise that it removes."""
+        return self._removed(self.after)
+
+    @property
+    def p_value(self) -> float:
+        """How often chance alone makes the misfit fall so far."""
+        degrees = self.table.degrees(self.used)
+        fall = max(self.before - self.after, 0.0) / max(1.0, self.after / degrees)
+        return float(fdtrc(1.0, min(self.noise.degrees, 1e9), fall))
+
+    def is_named(self, n_tried: int) -> bool:
+        """Whether it explains the misfit, as one of so many that were tried."""
+        measured = self.table.measured.any(axis=1)
+        is_lost = self.n_gained < 0 or (measured & ~self.used).sum() > MOST_LOST * measured.sum()
+        is_chance = self.p_value * n_tried >= IMPROBABLE
+        return not is_lost and not is_chance and self.explains(self.after)
+
+    def explains(self, square: float) -> bool:
+        """Whether to leave so much of the table as it is removes nearly all, and is plausible."""
+        if not self.noise.is_known:
+            mm, deg = self.table.errors(self.theta)
+            is_small = not mm > MOST_MM and not deg > MOST_DEG
+            return is_small and square <= AS_GOOD * self.after and self.before >= FALL * square
+        chance = self.table.chance(square, self.used, min(self.noise.degrees, STATED_DEGREES))
+        return self._removed(square) >= REMOVED and chance >= IMPROBABLE
+
+    def _removed(self, square: float) -> float:
+        noise = min(square, float(self.table.degrees(self.used)))
+        return (self.before - square) / (self.before - noise) if self.before > square else 0.0
+
+
+class _Table:
+    """A table beside a model: what is left of it, in mm and deg and in units of its noise.
+
+    A trial without equilibrium is held near its measured pose, and counts as farther off than any
+    that has one.
+    """
+
+    def __init__(self, model: LaxityModel, laxity: Laxity) -> None:
+        if laxity.sd is not None and np.isnan(laxity.sd[laxity.is_measured]).any():
+            laxity = replace(laxity, sd=None)
+        self.laxity = laxity
+        self.residuals = held_everywhere(LaxityResiduals(model=model, laxity=laxity))
+        self.measured = laxity.is_measured
+        self.n_asked = int(self.residuals.parameters.is_of_interest.sum())
+
+    @property
+    def model(self) -> LaxityModel:
+        return self.residuals.model
+
+    def left(self, theta: Array) -> tuple[Array, Array]:
+        """Measured less predicted (n, 5), NaN where not measured, and what is lacking (n,)."""
+        rows = self.residuals.residuals(theta)
+        found = np.full(self.measured.shape, np.nan)
+        m = int(self.measured.sum())
+        found[self.measured] = -rows[:m]
+        return found, rows[m:]
+
+    def square(self, theta: Array, sd: Array, used: BoolArray | None = None) -> float:
+        """Sum of squares of what is left in units of the noise, of the trials `used`."""
+        left, lack = self.left(theta)
+        by_trial = np.nansum((left / sd) ** 2, axis=1) + (lack / np.nanmin(sd)) ** 2
+        return float(by_trial.sum() if used is None else by_trial[used].sum())
+
+    def degrees(self, used: BoolArray) -> int:
+        """Degrees of freedom of what is left of the trials `used`."""
+        return max(int(self.measured[used].sum()) - self.n_asked, 1)
+
+    def has_equilibrium(self, theta: Array) -> BoolArray:
+        """Which measured trials have one."""
+        return np.asarray(self.measured.any(axis=1) & (self.left(theta)[1] == 0.0))
+
+    def noise_at(self, theta: Array) -> _Noise:
+        """The noise that the data show or state; else that which is left, in mm and in deg."""
+        left, lack = self.left(theta)
+        used = np.asarray(lack == 0.0)
+        seen = replace(
+            self.laxity, coordinates=np.where(used[:, None], self.laxity.coordinates, np.nan)
+        )
+        found = noise_of(seen, left) if used.any() else None
+        if found is not None:
+            sd = np.maximum(found.sd, LEAST_NOISE)
+            for columns in UNITS.values():
+                known = sd[:, columns]
+                if np.isfinite(known).any():
+                    known[np.isnan(known)] = np.nanmedian(known)
+            degrees = found.degrees_of_freedom
+            return _Noise(sd=np.where(self.measured, sd, np.nan), degrees=degrees)
+        share = np.sqrt(self.degrees(used) / max(int(self.measured[used].sum()), 1))
+        sd = np.full(self.measured.shape, np.nan)
+        for columns in UNITS.values():
+            size = root_mean_square(left[used][:, columns])
+            sd[:, columns] = max(size / share, LEAST_NOISE) if np.isfinite(size) else 1.0
+        sd = np.where(self.measured, sd, np.nan)
+        return _Noise(sd=sd, degrees=float(self.degrees(used)), is_known=False)
+
+    def is_noise(self, theta: Array) -> bool:
+        """Whether noise that is known may leave so much, or rounding."""
+        if (
+            not any(x > LEAST_NOISE for x in self.errors(theta))
+            and self.has_equilibrium(theta)[self.measured.any(axis=1)].all()
+        ):
+            return True
+        noise = self.noise_at(theta)
+        if not noise.is_known or not self.has_equilibrium(theta).any():
+            return False
+        used = np.asarray(self.measured.any(axis=1))
+        return self.chance(self.square(theta, noise.sd), used, noise.degrees) >= IMPROBABLE
+
+    def chance(self, square: float, used: BoolArray, degrees: float) -> float:
+        """How often noise leaves so much, its size known to so many degrees of freedom."""
+        own = self.degrees(used)
+        if np.isinf(degrees):
+            return float(chdtrc(own, square))
+        return float(fdtrc(own, degrees, square / own))
+
+    def errors(self, theta: Array) -> tuple[float, float]:
+        """Root-mean-square of what is left [mm, deg]; NaN where nothing was measured."""
+        left, _ = self.left(theta)
+        return root_mean_square(left[:, TRANSLATIONS]), root_mean_square(left[:, ROTATIONS])
+
+    def problem(self, noise: _Noise) -> WhitenedResiduals:
+        """The residuals in units of the noise."""
+        sd = np.r_[noise.sd[self.measured], np.full(self.laxity.n, np.nanmin(noise.sd))]
+        return WhitenedResiduals(problem=self.residuals, sd=sd)
+
+    def searched(self, start: Array) -> Array:
+        """The same where trials may have no equilibrium at the start."""
+        if not self.has_equilibrium(start)[self.measured.any(axis=1)].all():
+            search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
+            start = search.used(start).start
+        return self.fitted(start, self.noise_at(start))
+
+    def fitted(self, start: Array, noise: _Noise) -> Array:
+        """Parameters fitted to it with their priors, shape ``(p,)``."""
+        return fit(self.problem(noise), start, budget=BUDGET, priors=True).theta
+
+    def beginnings(self, *starts: Array) -> Iterator[Array]:
+        """Where a search may begin: as given, and stretched at the table's own measured poses."""
+        yield from starts
+        if self.model.poses is not None:
+            search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
+            yield search.stretched(starts[0], STRETCHES[-1])
+
+    def linearised(self, start: Array, noise: _Noise) -> tuple[float, Array]:
+        """Least square that the model linear at `start` leaves with its priors, and where.
+
+        Trials without equilibrium there count as the others do; infinite if most have none.
+        """
+        problem = ProblemWithPriors(problem=self.problem(noise))
+        parameters = problem.parameters
+        rows = problem.residuals(start)
+        if not np.isfinite(rows).all():
+            return np.inf, start
+        # In working coordinates, in which priors are normal.
+        slopes = (
+            problem.jacobian(start) * np.where(parameters.is_log, start, 1.0) * parameters.prior_sd
+        )
+        step = np.linalg.lstsq(slopes, -rows, rcond=None)[0]
+        used, m = self.has_equilibrium(start), int(self.measured.sum())
+        left = (rows + slopes @ step)[:m][used[np.nonzero(self.measured)[0]]]
+        working = parameters.to_working(start) + parameters.prior_sd * step
+        reached = parameters.from_working(working)
+        square = m * float(np.mean(left**2)) if 2 * left.size > m else np.inf
+        return square, np.clip(reached, parameters.lower, parameters.upper)
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A convention and the table put right, where a fit to it begins and what it should leave."""
+
+    convention: Convention
+    table: _Table
+    noise: _Noise
+    begin: Array
+    promised: float
+
+
+def find_broken_convention(
+    model: LaxityModel, laxity: Laxity, start: Array, fitted: Array | None = None
+) -> BrokenConvention | None:
+    """The convention that explains why a model does not fit a table; None where none does.
+
+    Nothing is looked for where the table as it is leaves no more than the noise that the data show
+    or, where they show none, that they state. All conventions are looked at with the linear model
+    and the priors of the parameters, and the few with the largest predicted reduction are fitted. A
+    convention is named if it removes nearly all of the misfit, significantly so among as many, if
+    what it leaves is plausible, and if no physical cause removes as much.
+
+    Parameters
+    ----------
+    model, laxity
+        The model and the data.
+    start
+        Where fits begin, in all parameters of the model, shape ``(p,)``.
+    fitted
+        Parameters fitted to the table as it is, shape ``(p,)``; where None they are sought.
+    """
+    as_is = _Table(model, laxity)
+    theta = as_is.searched(start) if fitted is None else fitted
+    if as_is.is_noise(theta):
+        return None
+    candidates, n_tried = _promising(as_is, start, theta)
+    found: list[_PutRight] = []
+    for candidate in candidates:
+        # What promises to leave far more than another left need not be fitted.
+        if found and candidate.promised > LIKELY * min(x.score for x in found):
+            break
+        put_right = _compared(as_is, theta, candidate, n_tried)
+        if put_right is not None:
+            found.append(put_right)
+    if not found:
+        return None
+    best = min(found, key=lambda x: x.score)
+    if _has_physical_rival(as_is, theta, best):
+        return None
+    before_mm, before_deg = as_is.errors(theta)
+    mm_after, deg_after = best.table.errors(best.theta)
+    return BrokenConvention(
+        what=best.convention.what,
+        removed=best.removed,
+        mm_before=before_mm,
+        deg_before=before_deg,
+        mm_after=mm_after,
+        deg_after=deg_after,
+        others=tuple(
+            x.convention.what for x in found if x is not best and x.score <= AS_GOOD * best.score
+        ),
+    )
+
+
+def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candidate], int]:
+    """The conventions worth a fit, the most promising first, and how many were looked at."""
+    found: list[_Candidate] = []
+    seen: list[Laxity] = []
+    for convention in conventions_of(as_is.laxity):
+        changed = convention.applied(as_is.laxity)
+        if changed is None or any(_is_same(changed, x) for x in seen):
+            continue
+        seen.append(changed)
+        table = _Table(as_is.model, changed)
+        noise = table.noise_at(start)
+        if not noise.is_known:
+            noise = replace(noise, sd=np.where(table.measured, 1.0, np.nan))
+        linear = [(table.linearised(x, noise)[0], x) for x in table.beginnings(start, theta)]
+        promised, begin = min(linear, key=lambda x: x[0])
+        here = min(as_is.square(theta, noise.sd), as_is.linearised(theta, noise)[0])
+        if promised <= PROMISED * here:
+            found.append(_Candidate(convention, table, noise, begin, promised))
+    return sorted(found, key=lambda x: x.promised)[:MOST_FITS], len(seen)
+
+
+def _is_same(one: Laxity, other: Laxity) -> bool:
+    return (
+        one.zero == other.zero
+        and np.array_equal(one.coordinates, other.coordinates, equal_nan=True)
+        and np.array_equal(one.protocol.loads, other.protocol.loads)
+        and np.array_equal(one.protocol.flexion_deg, other.protocol.flexion_deg)
+    )
+
+
+def _compared(as_is: _Table, theta: Array, candidate: _Candidate, n_tried: int) -> _PutRight | None:
+    """The table put right beside the table as it is; None if the convention does not explain it."""
+    table = candidate.table
+    found = _put_right(candidate, as_is, theta, table.fitted(candidate.begin, candidate.noise))
+    if not found.is_named(n_tried):
+        return None
+    # Once more with the noise as it shows itself beside a model that fits.
+    found = _put_right(candidate, as_is, theta, table.fitted(found.theta, found.noise))
+    refitted = as_is.square(as_is.fitted(theta, found.noise), found.noise.sd, found.used)
+    found = replace(found, before=min(found.before, refitted))
+    return found if found.is_named(n_tried) else None
+
+
+def _put_right(candidate: _Candidate, as_is: _Table, theta: Array, end: Array) -> _PutRight:
+    """What a fit to the table put right leaves, beside what `theta` leaves of it as it is."""
+    table = candidate.table
+    noise, used = table.noise_at(end), table.has_equilibrium(end)
+    return _PutRight(
+        convention=candidate.convention,
+        table=table,
+        theta=end,
+        noise=noise,
+        used=used,
+        n_gained=int(used.sum() - as_is.has_equilibrium(theta).sum()),
+        before=as_is.square(theta, noise.sd, used),
+        after=table.square(end, noise.sd, used),
+        score=table.square(end, candidate.noise.sd, used),
+    )
+
+
+def _has_physical_rival(as_is: _Table, theta: Array, best: _PutRight) -> bool:
+    """Whether a cause that is no convention explains the table as it is as well."""
+    laxity, base = as_is.laxity, as_is.model
+    causes: list[Effect] = [Registration(sd_deg=FRAMES_DEG, sd_mm=FRAMES_MM)]
+    with suppress(ValueError):
+        causes += library(
+            base.knee, has_order=laxity.order is not None, has_phase=laxity.phase is not None
+        )
+    known = {x.name for x in base.effects}
+    tried = []
+    for cause in causes:
+        if cause.name in known:
+            continue
+        table = _Table(base.with_effects([*base.effects, cause]), laxity)
+        begin = np.r_[theta, cause.parameters.start]
+        promised, reached = table.linearised(begin, best.noise)
+        if promised <= LIKELY * best.after:
+            tried.append((promised, table, reached))
+    tried.sort(key=lambda x: x[0])
+    for _, table, reached in tried[:MOST_CAUSES]:
+        end = table.fitted(reached, best.noise)
+        if best.explains(table.square(end, best.noise.sd, best.used)):
+            return True
+    return False
+
+
+def convention_findings(
+    model: LaxityModel, laxity: Laxity, start: Array, fitted: Array | None = None
+) -> tuple[Finding, ...]:
+    """The convention that is broken, if one is.
+
+    Where the model cannot tell, as on a knee without equilibrium at the start, the table alone
+    shows whether the tibia moves against its load.
+    """
+    found = find_broken_convention(model, laxity, start, fitted)
+    return load_sign_findings(laxity) if found is None else (found.finding,)
