@@ -24,7 +24,7 @@ KNEES = (
 )
 N_CASES = 420  # of each kind
 MOVED = 3.0  # units of the noise from which a convention must be named
-EVERY = 20
+LEAST, EVERY = 300, 20
 
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
@@ -95,6 +95,10 @@ def _row(done: list[dict[str, Any]]) -> Row:
         measures.append(_share(f"named on {knee}", own))
     measures.append(_share("sound tables accused of one", accused, bar=1.0))
     n_planted = sum(x["kind"] == "planted" for x in done)
+    measures += [
+        Measure(what=f"{kind} tables", value=n, unit="", bar=LEAST, at_least=True)
+        for kind, n in (("planted", n_planted), ("sound", len(sound)))
+    ]
     notes = [
         f"{n_planted} planted, of which {len(moved)} move the table so far; {len(sound)} sound",
         *(f"{x['knee']}, {x['title']}: {x['said']}" for x in moved if not x["is_named"]),
