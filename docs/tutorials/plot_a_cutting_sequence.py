@@ -13,7 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import identknee as ik
-from identknee.laxity.forces import MeasuredForces
 
 knee = ik.reference_knee()
 protocol = ik.load_protocol("table2")
@@ -39,7 +38,7 @@ cut = measured("mcl_cut", "cut: MCL", 3)
 model = ik.LaxityModel(knee=knee, protocol=protocol)
 tension = ik.model.tensions_of(model, model.predict(model.parameters.start))[:, [0]]
 errors = np.random.default_rng(4).normal(scale=5.0, size=tension.shape)
-forces = MeasuredForces(
+forces = ik.laxity.MeasuredForces(
     names=("ACL.tension_N",),
     values=np.maximum(tension + errors, 0.0),
     sd=np.full(tension.shape, 5.0),

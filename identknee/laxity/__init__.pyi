@@ -1,3 +1,6 @@
+from .experiment_tables import read_experiments as read_experiments
+from .experiments import Experiment as Experiment
+from .forces import MeasuredForces as MeasuredForces
 from .protocol import LOADS as LOADS
 from .protocol import DominantLoads as DominantLoads
 from .protocol import candidate_trials as candidate_trials
