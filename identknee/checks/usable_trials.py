@@ -36,6 +36,7 @@ from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
+from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
 # Of each ligament at the longest of its measured lengths: the best beginning is taken.
@@ -351,9 +352,31 @@ def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
     return tuple(said)
 
 
+def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
+    """Which experiments share a rig and a mounting, as a sentence; none for a single table."""
+    experiments = laxity.protocol.experiments
+    if len(experiments) < 2:
+        return ()
+    mounted: dict[str, list[str]] = {}
+    for x in experiments:
+        mounted.setdefault(x.mounting, []).append(x.name)
+    rigs = len({x.rig for x in experiments})
+    groups = "; ".join(listed(names) for names in mounted.values())
+    sentence = (
+        f"{len(experiments)} experiments on one knee, of {rigs} rig{'s' * (rigs > 1)} and "
+        f"{len(mounted)} mounting{'s' * (len(mounted) > 1)} ({groups}): those of one mounting share "
+        "its errors."
+    )
+    return (sentence,)
+
+
 def input_findings(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
     """What a fit assumes of knee and table: what is uncertain, blank, or left aside."""
-    said = (knee.uncertainty.sentence, *blank_cell_findings(laxity))
+    said = (
+        knee.uncertainty.sentence,
+        *experiment_sentences(laxity),
+        *blank_cell_findings(laxity),
+    )
     if laxity.sd is None:
         return said
     stated = ~np.isnan(laxity.sd)

@@ -35,6 +35,7 @@ from identknee.checks.usable_trials import (
     blank_cell_findings,
     defined_everywhere,
     excluded_trial_findings,
+    experiment_sentences,
     prediction_finding,
     starts_elsewhere,
     table_model,
@@ -265,7 +266,8 @@ def identification(
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
-    said = (knee.uncertainty.sentence, *pattern, *used.sentences, *blanks)
+    experiments = experiment_sentences(laxity)
+    said = (knee.uncertainty.sentence, *experiments, *pattern, *used.sentences, *blanks)
     assumptions = [*said, *_data_findings(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)

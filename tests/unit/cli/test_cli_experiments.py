@@ -45,6 +45,7 @@ def test_two_tables_are_fitted_together(folder: Path) -> None:
     assert summary["parameters"]["ACL"]["stiffness_kN"] == pytest.approx(8.0, abs=0.4)
     assert len(summary["trials_used"]) == 2 * PROTOCOL.n
     assert summary["trials_used"][0].startswith("intact/")
+    assert any("2 experiments" in x and "1 mounting" in x for x in summary["assumptions"])
     loaded = ik.load(out)
     assert isinstance(loaded, ik.Calibration)
     assert loaded.data.protocol.state is not None
