@@ -362,10 +362,10 @@ def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
         mounted.setdefault(x.mounting, []).append(x.name)
     rigs = len({x.rig for x in experiments})
     groups = "; ".join(listed(names) for names in mounted.values())
+    n, m = len(experiments), len(mounted)
     sentence = (
-        f"{len(experiments)} experiments on one knee, of {rigs} rig{'s' * (rigs > 1)} and "
-        f"{len(mounted)} mounting{'s' * (len(mounted) > 1)} ({groups}): those of one mounting share "
-        "its errors."
+        f"{n} experiments on one knee, of {rigs} rig{'s' * (rigs > 1)} and {m} "
+        f"mounting{'s' * (m > 1)} ({groups}): those of one mounting share its errors."
     )
     return (sentence,)
 
