@@ -315,6 +315,10 @@ def find_broken_convention(
     fitted
         Parameters fitted to the table as it is, shape ``(p,)``; where None they are sought.
     """
+    parameters = model.parameters
+    if np.any(parameters.is_log & ~(parameters.center > 0.0)):
+        # A ligament without stiffness has no prior to be fitted with.
+        return None
     as_is = _Table(model, laxity)
     theta = as_is.searched(start) if fitted is None else fitted
     if as_is.is_noise(theta):

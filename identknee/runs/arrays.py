@@ -99,9 +99,9 @@ def short_repr(record: Any) -> str:
 
     Examples
     --------
-    >>> from identknee.laxity.protocol import load_protocol
-    >>> short_repr(load_protocol("drawer"))
-    "Protocol(name='drawer', trials=<9 entries>, flexion_deg=<array 9>, loads=<array 9 x 5>)"
+    >>> from identknee.laxity.protocol import dominant_loads, load_protocol
+    >>> short_repr(dominant_loads(load_protocol("drawer")))
+    'DominantLoads(axis=<array 9>, size=<array 9>)'
     """
     words = [f"{x.name}={_short(getattr(record, x.name))}" for x in fields(record) if x.repr]
     name = type(record).__name__

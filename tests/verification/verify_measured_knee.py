@@ -8,7 +8,7 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -46,19 +46,23 @@ OPTIONS: Mapping[str, Mapping[str, Any]] = {
 }
 # A sweep of 200 starts and a sample to its gate are asked for more than the defaults.
 NOT_TIMED = ("sweep", "sample")
+# Verbs that are asked with the priors of ligament parameters.
+WITH_PRIORS = ("fit --priors", "sample")
 # What has no best fit of the data in units of the noise that was stated.
 WITHOUT_FIT = ("sensitivity", "diagnose")
 
 
-def measure(options: argparse.Namespace) -> Row:
+def parts(options: argparse.Namespace) -> Iterator[Row]:
     """Deviance of the best fit and time by verb, ends of a sweep, and groups with an index."""
     KEPT.parent.mkdir(exist_ok=True)
     tasks = [(knee, verb) for verb in VERBS for knee in KNEES]
+    if known := _known():
+        yield _row(known)
     for task in tasks:
         if task not in _known():
             with KEPT.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(_outcome(*task, options.workers)) + "\n")
-    return _row(_known())
+            yield _row(_known())
 
 
 def _known() -> dict[tuple[str, str], dict[str, Any]]:
@@ -108,48 +112,53 @@ def _profile(found: Any) -> dict[str, Any]:
 
 
 def _row(known: Mapping[tuple[str, str], Mapping[str, Any]]) -> Row:
-    measures, notes = [], []
+    measures: list[Measure] = []
+    notes = []
     for knee in KNEES:
         own = {verb: x for (of, verb), x in known.items() if of == knee}
-        asked = {k: x["deviance"] for k, x in own.items() if k not in WITHOUT_FIT}
-        for name, verbs in (
-            ("data alone", [x for x in asked if x not in ("fit --priors", "sample")]),
-            ("with priors", ["fit --priors", "sample"]),
-        ):
-            values = [asked[x] for x in verbs]
+        for name, with_priors in (("data alone", False), ("with priors", True)):
+            values = [
+                x["deviance"]
+                for verb, x in own.items()
+                if verb not in WITHOUT_FIT and (verb in WITH_PRIORS) is with_priors
+            ]
             measures.append(
                 Measure(
                     what=f"{knee}, {name}: deviances of verbs apart by",
-                    value=max(values) - min(values),
+                    value=max(values, default=np.nan) - min(values, default=np.nan),
                     unit="1",
                     bar=APART,
                     count=len(values),
                 )
             )
-        measures += _of_sweep(knee, own["sweep"])
-        measures.append(
-            Measure(
-                what=f"{knee}: groups of outputs with indices",
-                value=own["sensitivity"]["with_index"],
-                unit="1",
-                bar=0.9,
-                at_least=True,
-            )
-        )
-        for verb, x in own.items():
-            bar = None if verb in NOT_TIMED else MINUTES
+        measures += _of_sweep(knee, own["sweep"]) if "sweep" in own else []
+        if "sensitivity" in own:
             measures.append(
-                Measure(what=f"{knee}: {verb}", value=x["minutes"], unit="min", bar=bar)
+                Measure(
+                    what=f"{knee}: groups of outputs with indices",
+                    value=own["sensitivity"]["with_index"],
+                    unit="1",
+                    bar=0.9,
+                    at_least=True,
+                )
             )
+        measures += [
+            Measure(
+                what=f"{knee}: {verb}",
+                value=x["minutes"],
+                unit="min",
+                bar=None if verb in NOT_TIMED else MINUTES,
+            )
+            for verb, x in own.items()
+        ]
         spent = ", ".join(f"{k} {x['processor_s']:.0f}" for k, x in own.items())
         said = ", ".join(f"{k} {x['deviance']:.3f}" for k, x in own.items() if x["deviance"])
-        sweep, sample = own["sweep"], own["sample"]
-        notes.append(
-            f"{knee}: deviances {said}; lowest end of the sweep itself {sweep['lowest']:.3f}; "
-            f"ends {sweep['ends']}; half-widths of indices up to "
-            f"{own['sensitivity']['half_width']:.2g}; sample {sample['outcome']} after "
-            f"{sample['n']} simulations, {sample['gate']}; processor time {spent} s"
-        )
+        notes.append(f"{knee}: deviances {said}; processor time {spent} s")
+        if "sample" in own:
+            x = own["sample"]
+            notes.append(f"{knee}: sample {x['outcome']} after {x['n']} simulations, {x['gate']}")
+        missing = [verb for verb in VERBS if verb not in own]
+        notes += [f"{knee}: not finished: {', '.join(missing)}"] if missing else []
     return Row(
         line="verbs of s192803 and s192803_bundles, same options: deviance at their best fit "
         "within 0.1; a sweep of 200 starts without a failure, 90 % at a minimum or a named edge; "
