@@ -127,9 +127,8 @@ def test_the_deviance_is_a_sum_of_terms() -> None:
 
 def knee_values(knee: ik.Knee) -> Array:
     """Its stiffnesses, then its reference strains."""
-    return np.r_[
-        [x.stiffness_kN for x in knee.ligaments], [x.reference_strain_pct for x in knee.ligaments]
-    ]
+    stiffness = [x.stiffness_kN for x in knee.ligaments]
+    return np.array([*stiffness, *(x.reference_strain_pct for x in knee.ligaments)])
 
 
 def test_forces_narrow_what_laxity_leaves_open() -> None:
@@ -183,7 +182,7 @@ def test_what_has_no_force_is_refused() -> None:
     with pytest.raises(ValueError, match="heavy tails"):
         ik.fit("reference", laxity, likelihood="student")
     with pytest.raises(ValueError, match="negative"):
-        MeasuredForces(names=("ACL.tension_N",), values=[[-1.0]], sd=[[1.0]])
+        MeasuredForces(names=("ACL.tension_N",), values=np.array([[-1.0]]), sd=np.ones((1, 1)))
 
 
 def _with_names(laxity: ik.Laxity, names: tuple[str, ...]) -> ik.Laxity:
