@@ -7,7 +7,7 @@ of partial cuts, are called ``scope/name``.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from identknee.model.nuisances import stored_effects
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
-
-if TYPE_CHECKING:
-    pass
 
 # Errors that belong to a rig, and to a mounting of the knee in it, by their names.
 OF_RIG, OF_MOUNTING = ("load_gain", "load_axes", "registration"), ("flexion",)
@@ -173,7 +170,10 @@ def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]
         scopes = _scopes(experiments, kind.get(effect.name, ""))
         is_stated = not effect.parameters.is_of_interest.any()
         made += [scoped(effect, x) for x in scopes] if scopes and is_stated else [effect]
-    return (*made, *_rig_errors(knee, experiments, made), *_partial_cuts(knee, protocol))
+    stated = tuple(_rig_errors(knee, experiments))
+    replaced = {y for x in stated for y in (x.name, x.name.rpartition(OF)[2])}
+    kept = (x for x in made if x.name not in replaced)
+    return (*kept, *stated, *_partial_cuts(knee, protocol))
 
 
 def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
@@ -181,17 +181,13 @@ def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
     return names if len(names) > 1 else []
 
 
-def _rig_errors(
-    knee: Knee, experiments: Sequence[Experiment], made: list[Effect]
-) -> Iterator[Effect]:
+def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effect]:
     """Errors that a rig states for itself; they take the place of those of the subject."""
     for x in {x.rig: x for x in experiments if x.uncertainty}.values():
         stated = knee.with_uncertainty(replace(knee.uncertainty, **x.uncertainty))
         for effect in stored_effects(stated):
             if effect.name in OF_RIG:
-                own = scoped(effect, x.rig)
-                made[:] = [y for y in made if y.name not in (own.name, effect.name)]
-                yield own
+                yield scoped(effect, x.rig)
 
 
 def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:

@@ -85,8 +85,10 @@ def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
     subject = arguments[SUBJECT]
     if _is_table(subject):
         if DATA in arguments and (data is None or _is_subject(data)):
-            told = "subject and data have changed places" if data is not None else "it is the data"
-            raise ValueRefused(f"{_shown(subject)} is a laxity table: {told}", ORDER)
+            mistake = (
+                "subject and data have changed places" if data is not None else "it is the data"
+            )
+            raise ValueRefused(f"{_shown(subject)} is a laxity table: {mistake}", ORDER)
         raise ValueRefused(
             f"{_shown(subject)} is a laxity table where the subject belongs",
             "give a subject folder, a Knee or a name such as reference",

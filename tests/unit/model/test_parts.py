@@ -177,6 +177,20 @@ def test_each_rig_and_mounting_has_errors_of_its_own() -> None:
             assert moved[own == scope].any() or "load_" in name
 
 
+def test_what_a_rig_states_takes_the_place_of_what_the_subject_states() -> None:
+    protocol = _laxity({"intact": "intact", "cut": "cut: MCL"}).protocol
+    for rigs in (protocol.experiments, (protocol.experiments[0],) * 2):
+        stated = [replace(x, name=f"{i}", uncertainty={}) for i, x in enumerate(rigs)]
+        stated[0] = replace(stated[0], uncertainty={"registration_deg": 3.0})
+        names = tuple("0" if x == "intact" else "1" for x in protocol.experiment or ())
+        own = replace(protocol, experiment=names, experiments=tuple(stated))
+        p = LaxityModel(knee=KNEE.with_uncertainty(STATED), protocol=own).parameters
+        assert "registration.femur_x_deg" not in p.names
+        sizes = {x: p.prior_sd[i] for i, x in enumerate(p.names) if "femur_x_deg" in x}
+        assert sizes["robot/registration.femur_x_deg"] == 3.0
+        assert sizes.get("hand/registration.femur_x_deg", 1.0) == 1.0
+
+
 def test_two_tables_are_one_with_both_rows() -> None:
     """Same rig and mounting: residuals, Jacobian and fit of the rows in one table."""
     table = _laxity({"a": "intact", "b": "intact"})
