@@ -155,7 +155,11 @@ class _Table:
     that has one.
     """
 
-    def __init__(self, model: LaxityModel, laxity: Laxity) -> None:
+    def __init__(
+        self, model: LaxityModel, laxity: Laxity, states: tuple[str, ...] | None = None
+    ) -> None:
+        # Trials that get one state have no noise of their own to show beside one another.
+        self.states = laxity.protocol.state if states is None else states
         if laxity.sd is not None and np.isnan(laxity.sd[laxity.is_measured]).any():
             laxity = replace(laxity, sd=None)
         self.laxity = laxity
@@ -194,7 +198,9 @@ class _Table:
         left, lack = self.left(theta)
         used = np.asarray(lack == 0.0)
         seen = replace(
-            self.laxity, coordinates=np.where(used[:, None], self.laxity.coordinates, np.nan)
+            self.laxity,
+            protocol=replace(self.laxity.protocol, state=self.states),
+            coordinates=np.where(used[:, None], self.laxity.coordinates, np.nan),
         )
         found = noise_of(seen, left) if used.any() else None
         if found is not None:
@@ -356,12 +362,12 @@ def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candida
     """The conventions worth a fit, the most promising first, and how many were looked at."""
     found: list[_Candidate] = []
     seen: list[Laxity] = []
-    for convention in conventions_of(as_is.laxity):
+    for convention in conventions_of(as_is.laxity, as_is.model.tied.names):
         changed = convention.applied(as_is.laxity)
         if changed is None or any(_is_same(changed, x) for x in seen):
             continue
         seen.append(changed)
-        table = _Table(as_is.model, changed)
+        table = _Table(as_is.model, changed, as_is.states)
         noise = table.noise_at(start)
         if not noise.is_known:
             noise = replace(noise, sd=np.where(table.measured, 1.0, np.nan))
@@ -379,6 +385,7 @@ def _is_same(one: Laxity, other: Laxity) -> bool:
         and np.array_equal(one.coordinates, other.coordinates, equal_nan=True)
         and np.array_equal(one.protocol.loads, other.protocol.loads)
         and np.array_equal(one.protocol.flexion_deg, other.protocol.flexion_deg)
+        and one.protocol.state == other.protocol.state
     )
 
 

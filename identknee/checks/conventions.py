@@ -1,14 +1,16 @@
 """Conventions that people break in laxity tables, and the change that puts each right."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from identknee.laxity.protocol import ABSOLUTE, FLEXION, LOADS, unloaded_trials
+from identknee.laxity.experiments import Cut, cuts_of, state_words
+from identknee.laxity.protocol import ABSOLUTE, FLEXION, LOADS, Protocol, unloaded_trials
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
+from identknee.runs.arrays import IntArray
 
 # Names of both kinds of columns, coordinates first.
 COLUMNS = (*COORDINATES, *LOADS)
@@ -55,6 +57,8 @@ class Convention:
         What coordinates are counted from; None for what the table says.
     translations
         Definition that the translations have; components are what they should be.
+    states
+        State of each trial; None for what the table says.
     """
 
     what: str
@@ -63,6 +67,7 @@ class Convention:
     flexion: float = 1.0
     zero: str | None = None
     translations: Translations = COMPONENTS
+    states: tuple[str, ...] | None = None
 
     def applied(self, laxity: Laxity) -> Laxity | None:
         """The table put right; None where it would be the same or break a rule of tables.
@@ -81,10 +86,12 @@ class Convention:
             coordinates = to_components(self.translations, protocol.flexion_deg, coordinates)
         zero = laxity.zero if self.zero is None else self.zero
         flexion = protocol.flexion_deg * self.flexion
+        states = protocol.state if self.states is None else self.states
         same = (
             np.array_equal(loads, protocol.loads)
             and np.array_equal(coordinates, laxity.coordinates, equal_nan=True)
             and np.array_equal(flexion, protocol.flexion_deg)
+            and states == protocol.state
         )
         # Columns of which one was not measured were not exchanged.
         moved = np.isnan(coordinates) != np.isnan(laxity.coordinates)
@@ -97,7 +104,7 @@ class Convention:
         try:
             return replace(
                 laxity,
-                protocol=replace(protocol, flexion_deg=flexion, loads=loads),
+                protocol=replace(protocol, flexion_deg=flexion, loads=loads, state=states),
                 coordinates=coordinates,
                 sd=sd,
                 zero=zero,
@@ -106,13 +113,26 @@ class Convention:
             return None
 
 
-def conventions_of(laxity: Laxity) -> tuple[Convention, ...]:
+def conventions_of(laxity: Laxity, structures: Sequence[str] = ()) -> tuple[Convention, ...]:
     """The changes that would put right what people get wrong in a table such as this.
 
     Signs of columns, of whole motions and of all loads; units; the other side of the body; columns
-    exchanged; definitions of translations; and what coordinates are counted from.
+    exchanged; definitions of translations; what coordinates are counted from; and, in a table with
+    ligaments cut, states of the knee.
+
+    Parameters
+    ----------
+    laxity
+        The table.
+    structures
+        Ligaments and groups of the knee that may have been cut.
     """
-    return (*_of_columns(), *_of_translations(), *_zeros(laxity))
+    return (
+        *_of_columns(),
+        *_of_translations(),
+        *_zeros(laxity),
+        *_of_states(laxity.protocol, structures),
+    )
 
 
 def _of_columns() -> Iterator[Convention]:
@@ -185,6 +205,54 @@ def _zeros(laxity: Laxity) -> Iterator[Convention]:
         what="counting coordinates from the unloaded pose of each flexion angle (zero: unloaded)",
         zero="unloaded",
     )
+
+
+def _of_states(protocol: Protocol, structures: Sequence[str]) -> Iterator[Convention]:
+    """A cut that was not made, another structure cut, and the labels of two states exchanged.
+
+    The fraction of a partial cut is estimated, so that it needs no other label.
+    """
+    if protocol.state is None:
+        return
+    series, states = protocol.series, protocol.state
+    first = np.unique(series, return_index=True)[1].tolist()
+    labels = [states[i] for i in first]
+    whole = [k for k, label in enumerate(labels) if not any(x.is_partial for x in cuts_of(label))]
+
+    def said(k: int) -> str:
+        of = "" if protocol.experiment is None else f" of {protocol.experiment[first[k]]}"
+        return f'"{labels[k]}"{of if labels.count(labels[k]) > 1 else ""}'
+
+    for k in whole:
+        for state in _other_states(cuts_of(labels[k]), structures):
+            yield Convention(
+                what=f'taking the trials of the state {said(k)} for "{state}"',
+                states=_relabelled(states, series, {k: state}),
+            )
+    for j, k in combinations(whole, 2):
+        if labels[j] != labels[k]:
+            yield Convention(
+                what=f"exchanging the states {said(j)} and {said(k)}",
+                states=_relabelled(states, series, {j: labels[k], k: labels[j]}),
+            )
+
+
+def _other_states(cuts: Sequence[Cut], structures: Sequence[str]) -> Iterator[str]:
+    """States with one cut not made, or made in another structure."""
+    taken = {x.ligament for x in cuts}
+    for x in cuts:
+        rest = [y for y in cuts if y is not x]
+        yield state_words(rest)
+        for other in structures:
+            made = [*rest, Cut(ligament=other, fraction=1.0)]
+            if other not in taken and {y.ligament for y in made} != set(structures):
+                yield state_words(made)
+
+
+def _relabelled(
+    states: Sequence[str], series: IntArray, labels: Mapping[int, str]
+) -> tuple[str, ...]:
+    return tuple(labels.get(int(k), x) for k, x in zip(series, states, strict=True))
 
 
 def _negated(names: Sequence[str]) -> tuple[float, ...]:

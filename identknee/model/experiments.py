@@ -29,8 +29,9 @@ from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
 
-# Errors that belong to a rig, and to a mounting of the knee in it, by their names.
+# Errors that belong to a rig, to a mounting of the knee in it, and to a state, by their names.
 OF_RIG, OF_MOUNTING = ("load_gain", "load_axes", "registration"), ("flexion",)
+OF_STATE = ("state_elongation", "state_drift")
 # Causes that belong to a rig.
 CAUSES_OF_RIG = (
     "moment_gain_IE",
@@ -72,12 +73,12 @@ def effects_of_part(
     Returns
     -------
     own
-        Those of the whole knee, of the rig, of the mounting and of the cuts.
+        Those of the whole knee, of the rig, of the mounting, of the state and of the cuts.
     acting
         The same under plain names, and the cuts that are none of them at their stated fraction.
     """
     cuts = cuts_of(state)
-    scopes = {"", experiment.rig, experiment.mounting, *map(_scope, cuts)}
+    scopes = {"", experiment.rig, experiment.mounting, _state_scope(state), *map(_scope, cuts)}
     own = [x for x in effects if scope_of(x) in scopes]
     made = set(map(scope_of, own))
     stated = [_as_stated(cut(knee, x)) for x in cuts if _scope(x) not in made]
@@ -98,6 +99,10 @@ def _plain_name(effect: Effect) -> str:
 
 def _scope(cut: Cut) -> str:
     return cut.words.replace(" ", "_")
+
+
+def _state_scope(state: str) -> str:
+    return state.replace(" ", "")
 
 
 def cut(knee: Knee, what: Cut) -> InputsChange:
@@ -159,13 +164,17 @@ def check_states(knee: Knee, protocol: Protocol) -> None:
 def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]:
     """The effects stored with a knee, those of rigs and mountings once for each of them.
 
-    Errors of one rig are independent of those of another, and so are those of two mountings. A
-    partial cut adds the fraction that is cut. With one rig and mounting names stay as they are.
+    Errors of one rig are independent of those of another, and so are those of two mountings. What
+    changes between states is counted from the intact knee, once for each other state. A partial
+    cut adds the fraction that is cut. With one rig and mounting names stay as they are.
     """
     check_states(knee, protocol)
     experiments = protocol.experiments or (ONE,)
     made: list[Effect] = []
     for effect in stored_effects(knee):
+        if effect.name in OF_STATE:
+            made += [scoped(effect, _state_scope(x)) for x in _states_with_cuts(protocol)]
+            continue
         kind = {**dict.fromkeys(OF_RIG, "rig"), **dict.fromkeys(OF_MOUNTING, "mounting")}
         scopes = _scopes(experiments, kind.get(effect.name, ""))
         is_stated = not effect.parameters.is_of_interest.any()
@@ -174,6 +183,10 @@ def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]
     replaced = {y for x in stated for y in (x.name, x.name.rpartition(OF)[2])}
     kept = (x for x in made if x.name not in replaced)
     return (*kept, *stated, *_partial_cuts(knee, protocol))
+
+
+def _states_with_cuts(protocol: Protocol) -> list[str]:
+    return [x for x in dict.fromkeys(protocol.state or ()) if x != INTACT]
 
 
 def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:

@@ -7,13 +7,16 @@ from types import MappingProxyType
 
 import numpy as np
 
+from identknee.laxity.table import COORDINATES
 from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.effects.effect import (
     Changed,
     Effect,
     InputsChange,
+    ReadingError,
     ReplicaEffect,
+    TrialRecord,
     amplitudes,
     with_fixed_amplitudes,
 )
@@ -21,7 +24,7 @@ from identknee.model.effects.insertion import AXES, insertion
 from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
-from identknee.model.mechanics_inputs import MechanicsInputs, frames_at, placements
+from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -148,6 +151,41 @@ def toe_region(sd: float) -> InputsChange:
     return _logarithm("toe_region", "ln_strain", sd, _with_toe_region)
 
 
+def state_drift(sd_mm: float, sd_deg: float) -> ReadingError:
+    """Change of each reading between the intact knee and a state with a cut [mm, deg]."""
+    sds = np.array([sd_mm if x.endswith("_mm") else sd_deg for x in COORDINATES])
+    used = np.flatnonzero(sds)
+    made = amplitudes(
+        "state_drift",
+        [COORDINATES[i] for i in used],
+        sds[used].tolist(),
+        upper=(REACH * sds[used]).tolist(),
+    )
+    read = partial(_with_state_drift, tuple(used.tolist()))
+    return ReadingError(name="state_drift", parameters=made.as_nuisances(), read=read)
+
+
+def state_elongation(sd: float) -> InputsChange:
+    """Strain by which testing stretched all ligaments before a state with a cut [%]."""
+    made = amplitudes("state_elongation", ["strain_pct"], [100.0 * sd], upper=[REACH * 100.0 * sd])
+    return InputsChange(
+        name="state_elongation", parameters=made.as_nuisances(), changed=_with_elongation
+    )
+
+
+def _with_state_drift(
+    used: tuple[int, ...], coordinates: Array, values: Array, _tests: TrialRecord
+) -> Array:
+    read = np.array(coordinates)
+    read[:, list(used)] += values
+    return read
+
+
+def _with_elongation(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+    change = np.where(setting.owner >= 0, PER_PCT * values[0], 0.0)
+    return replace(setting, reference_strain=setting.reference_strain - change)
+
+
 def reference_pose(sd_deg: float, sd_mm: float) -> InputsChange:
     """Turn [deg] and shift [mm] of the tibia in the pose in which lengths were measured."""
     names = ["flexion_deg", "varus_deg", "internal_deg", "x_mm", "y_mm", "z_mm"]
@@ -252,6 +290,8 @@ _ERRORS = MappingProxyType[str, tuple[tuple[str, ...], Callable[..., Effect]]](
         "load_gain": (("load_gain",), load_gain),
         "load_axes": (("load_axes_deg",), load_axes),
         "flexion": (("flexion_deg",), flexion),
+        "state_elongation": (("state_elongation",), state_elongation),
+        "state_drift": (("state_drift_mm", "state_drift_deg"), state_drift),
         "registration": (
             ("registration_deg", "registration_mm"),
             lambda sd_deg, sd_mm: Registration(sd_deg=sd_deg, sd_mm=sd_mm),

@@ -200,6 +200,9 @@ class UncertaintyTable(Part):
     reference_pose_deg: Number = 0.0
     reference_pose_mm: Number = 0.0
     toe_region: Number = 0.0
+    state_drift_mm: Number = 0.0
+    state_drift_deg: Number = 0.0
+    state_elongation: Number = 0.0
 
 
 class PriorTable(Part):

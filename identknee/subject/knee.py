@@ -64,6 +64,10 @@ class Uncertainty:
         Rotation and translation of the tibia in the pose in which reference lengths were measured.
     toe_region
         Logarithm of the strain at which the ligaments' toe region ends.
+    state_drift_mm, state_drift_deg
+        Change of each reading from the intact knee to each state in which something was cut.
+    state_elongation
+        Strain by which testing stretched all ligaments between the intact knee and each such state.
 
     Raises
     ------
@@ -86,6 +90,9 @@ class Uncertainty:
     reference_pose_deg: float = _stated("turn of the scanned pose")
     reference_pose_mm: float = _stated("shift of the scanned pose")
     toe_region: float = _stated("toe region")
+    state_drift_mm: float = _stated("drift of lengths between states")
+    state_drift_deg: float = _stated("drift of angles between states")
+    state_elongation: float = _stated("elongation of ligaments between states")
 
     def __post_init__(self) -> None:
         for name, value in self._values():

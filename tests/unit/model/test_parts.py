@@ -29,6 +29,9 @@ STATED = Uncertainty(
     load_gain=0.05,
     flexion_deg=1.0,
     toe_region=0.2,
+    state_drift_mm=0.5,
+    state_drift_deg=0.5,
+    state_elongation=0.01,
 )
 KNEE = ik.reference_knee()
 TRIALS = ik.load_protocol("table2").select([0, 2, 4, 7])
@@ -165,13 +168,14 @@ def test_each_rig_and_mounting_has_errors_of_its_own() -> None:
     assert found.jacobian is not None
     rigs = np.repeat(["robot", "robot", "hand"], TRIALS.n)
     mountings = np.repeat(["robot-1", "robot-2", "hand-1"], TRIALS.n)
+    states = np.repeat(["intact", "cut:LCL40%", "cut:MCL"], TRIALS.n)
     for i, name in enumerate(model.parameters.names):
         scope = name.rpartition("/")[0]
         moved = np.abs(found.jacobian[:, :, i]).max(axis=1) > 0.0
         if name.startswith("LCL_40%"):
             assert set(np.flatnonzero(moved)) <= set(range(TRIALS.n, 2 * TRIALS.n))
         elif scope:
-            own = rigs if scope in ("robot", "hand") else mountings
+            own = next(x for x in (rigs, mountings, states) if scope in x)
             assert not moved[own != scope].any()
             # Some trials have no load of the kind.
             assert moved[own == scope].any() or "load_" in name
@@ -292,3 +296,28 @@ def test_trials_of_other_states_are_no_replicates() -> None:
     assert len(curves) == 2 * len(alone)
     assert all(len(set(both.series[x.trials])) == 1 for x in curves)
     assert len(largest_loads(both)) == 2 * len(largest_loads(seed))
+
+
+def test_what_changes_between_states_is_counted_from_the_intact_knee() -> None:
+    """Readings drift in the state that was cut alone, and its ligaments are longer."""
+    stated = Uncertainty(state_drift_mm=0.5, state_drift_deg=0.3, state_elongation=0.01)
+    protocol = _laxity({"intact": "intact", "cut": "cut: MCL"}).protocol
+    model = LaxityModel(knee=KNEE.with_uncertainty(stated), protocol=protocol)
+    p = model.parameters
+    names = ("cut:MCL/state_elongation.strain_pct", "cut:MCL/state_drift.lateral_shift_mm")
+    assert p.names[8:10] == names
+    assert p.nuisance_names == p.names[8:]
+    assert (p.n, p.prior_sd[8], p.prior_sd[9], p.prior_sd[-1]) == (14, 1.0, 0.5, 0.3)
+    base = model.predict(p.start).coordinates
+    drifted = model.predict(np.r_[p.start[:9], 0.1, 0.2, 0.3, 0.4, 0.5]).coordinates - base
+    np.testing.assert_allclose(drifted[: TRIALS.n], 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        drifted[TRIALS.n :], np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (TRIALS.n, 1)), atol=1e-12
+    )
+    longer = model.predict(np.r_[p.start[:8], 1.0, np.zeros(5)]).coordinates
+    slacker = p.start - np.array([x.endswith("reference_strain_pct") for x in p.names])
+    expected = model.predict(slacker).coordinates
+    np.testing.assert_allclose(longer[TRIALS.n :], expected[TRIALS.n :], atol=CLOSED_FORM)
+    np.testing.assert_allclose(longer[: TRIALS.n], base[: TRIALS.n], atol=1e-12)
+    # Without states nothing changes between them.
+    assert LaxityModel(knee=model.knee, protocol=TRIALS).parameters.n == 8
