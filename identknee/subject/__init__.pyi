@@ -1,3 +1,4 @@
+from .capsule import with_capsule as with_capsule
 from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
 from .knee import Ligament as Ligament

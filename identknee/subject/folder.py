@@ -4,7 +4,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -27,6 +27,7 @@ from identknee.runs.schema import (
     validated,
 )
 from identknee.runs.words import capitalised
+from identknee.subject.capsule import with_capsule
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import known_names, named_subject
 from identknee.subject.knee import (
@@ -265,6 +266,13 @@ class SubjectTables(Part):
         default_factory=list
     )
     groups: Annotated[list[Annotated[GroupTable, _GROUPS]], _GROUPS] = Field(default_factory=list)
+    capsule: Annotated[
+        list[Text],
+        custom_message(
+            "{} is no list of sheets",
+            'Write capsule = ["posteromedial", "posterolateral", "anterolateral"], or some.',
+        ),
+    ] = Field(default_factory=list)
     poses: Annotated[list[Annotated[PoseTable, _POSES]], _POSES] = Field(default_factory=list)
 
     uncertainty: Annotated[
@@ -571,6 +579,11 @@ def _read(file: Path) -> Knee:
         contact_rounding_mm=tables.contact_rounding_mm,
     )
     knee = knee.mirrored() if tables.side == "left" else knee
+    if tables.capsule:
+        fitted = knee.fitted
+        knee = replace(
+            _made(file, "key capsule", with_capsule, knee, tables.capsule), fitted=fitted
+        )
     for finding in fatal_geometry_findings(knee):
         raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee

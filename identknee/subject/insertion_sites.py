@@ -96,6 +96,70 @@ def structure_sites(knee: Knee) -> dict[str, tuple[Site, ...]]:
     lateral, medial = knee.tibia_frame.axes[2], -knee.tibia_frame.axes[2]
     rear = -knee.tibia_frame.axes[0]
     oblique = (medial + rear) / np.sqrt(2.0)
+    clear = _clear_of_condyles(knee, found)
+    return {
+        "anterolateral": (clear(_anterolateral(knee, found), lateral),),
+        "posteromedial": (clear(_posteromedial(knee, found), oblique),),
+        "popliteofibular": (clear(_popliteofibular(knee, found), lateral),),
+        "deep_mcl": (clear(_deep_mcl(knee, found), medial),),
+        "posterior_capsule": tuple(
+            clear(_posterior_capsule(knee, found, x), rear) for x in found.compartments
+        ),
+    }
+
+
+def capsule_sites(knee: Knee) -> dict[str, tuple[Site, ...]]:
+    """Three lines of each sheet of the capsule, by its name.
+
+    The posteromedial sheet reaches from the posterior oblique ligament to behind the medial
+    condyle, the posterolateral one from behind the lateral condyle to its outer side, and the
+    anterolateral one lies 6 mm to either side of the anterolateral ligament on the tibia and 3 mm
+    on the femur, all estimates. A line that would run through a condyle is moved outward.
+
+    Raises
+    ------
+    ValueError
+        If the femoral surface has no posterior condyle on one side.
+    """
+    found = anatomy(knee)
+    lateral, rear = knee.tibia_frame.axes[2], -knee.tibia_frame.axes[0]
+    inner, outer = (_posterior_capsule(knee, found, x) for x in (found.medial, found.lateral))
+    ligament, anterior = _anterolateral(knee, found), found.size * knee.tibia_frame.axes[0]
+    sheets = {
+        "posteromedial": (_posteromedial(knee, found), inner, rear - lateral),
+        "posterolateral": (outer, _posterolateral(knee, found), rear + lateral),
+        "anterolateral": (
+            _shifted_site(ligament, -3.0 * anterior, -6.0 * anterior),
+            _shifted_site(ligament, 3.0 * anterior, 6.0 * anterior),
+            lateral,
+        ),
+    }
+    clear = _clear_of_condyles(knee, found)
+    return {
+        name: tuple(
+            clear(_between(name, one, other, share), outward / np.linalg.norm(outward))
+            for share in (0.0, 0.5, 1.0)
+        )
+        for name, (one, other, outward) in sheets.items()
+    }
+
+
+def _shifted_site(site: Site, femur: Array, tibia: Array) -> Site:
+    return replace(site, femur=site.femur + femur, tibia=site.tibia + tibia)
+
+
+def _between(name: str, one: Site, other: Site, share: float) -> Site:
+    """A line between two, at a share of the way to the other."""
+    return Site(
+        name=name,
+        femur=(1.0 - share) * one.femur + share * other.femur,
+        tibia=(1.0 - share) * one.tibia + share * other.tibia,
+        side=one.side,
+    )
+
+
+def _clear_of_condyles(knee: Knee, found: Anatomy) -> Callable[[Site, Array], Site]:
+    """A function that moves a line outward until it runs at most 3 mm deep through a condyle."""
     deepest = DEEPEST * found.size
     depth = _depth_below(knee, deepest)
 
@@ -107,15 +171,7 @@ def structure_sites(knee: Knee) -> dict[str, tuple[Site, ...]]:
             site = replace(site, femur=site.femur + excess * outward)
         return site
 
-    return {
-        "anterolateral": (clear(_anterolateral(knee, found), lateral),),
-        "posteromedial": (clear(_posteromedial(knee, found), oblique),),
-        "popliteofibular": (clear(_popliteofibular(knee, found), lateral),),
-        "deep_mcl": (clear(_deep_mcl(knee, found), medial),),
-        "posterior_capsule": tuple(
-            clear(_posterior_capsule(knee, found, x), rear) for x in found.compartments
-        ),
-    }
+    return clear
 
 
 def _anterolateral(knee: Knee, found: Anatomy) -> Site:
@@ -204,6 +260,22 @@ def _posterior_capsule(knee: Knee, found: Anatomy, side: Compartment) -> Site:
         femur=side.condyle_centre + shifted(knee.femur_frame, (-0.9, 0.7, 0.0), radius),
         tibia=_below_rim(knee, found, side, np.radians(180.0), 11.0),
         side=side.side,
+    )
+
+
+def _posterolateral(knee: Knee, found: Anatomy) -> Site:
+    """From behind and above the lateral condyle's outer half to the posterolateral rim.
+
+    The outer edge of the posterior capsule with the arcuate complex, an estimate: 0.8 of the
+    condyle's radius behind, 0.6 above and 0.5 lateral to its centre.
+    """
+    side = found.lateral
+    return Site(
+        name="posterolateral",
+        femur=side.condyle_centre
+        + shifted(knee.femur_frame, (-0.8, 0.6, 0.5), side.condyle_radius),
+        tibia=_below_rim(knee, found, side, np.radians(145.0), 10.0),
+        side="lateral",
     )
 
 

@@ -28,6 +28,7 @@ from identknee.model.effects.readings import (
     tibia_frame,
 )
 from identknee.model.effects.structures import (
+    CAPSULE,
     STIFFNESS_SD,
     MissingStructure,
     PosteriorCapsule,
@@ -50,9 +51,18 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.errors import suggestion
 from identknee.subject.anatomy import anatomy
+from identknee.subject.capsule import SHEETS
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import EffectChoice, Knee
 
+# Sheets of a subject's own capsule that take the place of a structure.
+COVERED: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "anterolateral": frozenset({SHEETS["anterolateral"].group}),
+        "posteromedial": frozenset({SHEETS["posteromedial"].group}),
+        CAPSULE: frozenset(SHEETS[x].group for x in ("posteromedial", "posterolateral")),
+    }
+)
 NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift"})
 
 
@@ -60,8 +70,9 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     """All causes that can be tried on a subject, in the order of `FACTS`.
 
     Wrapping of the medial collateral ligament is left out where the subject has no such line, and
-    so is a structure where a ligament of the subject is called like it. Where the subject's lines
-    are bundles already, those of each ligament are a cause of their own, all of one name.
+    so is a structure where a ligament of the subject is called like it or sheets of its capsule
+    cover it. Where the subject's lines are bundles already, those of each ligament are a cause of
+    their own, all of one name.
 
     Parameters
     ----------
@@ -83,6 +94,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     ['anterolateral', 'posteromedial', 'popliteofibular']
     """
     left_out = {x.name for x in knee.ligaments}
+    groups = {x.name for x in knee.groups}
+    left_out |= {name for name, sheets in COVERED.items() if sheets <= groups}
     left_out |= {name for name, facts in FACTS.items() if facts.is_numerical}
     if not has_order:
         left_out |= NEEDS_ORDER
