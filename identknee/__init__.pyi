@@ -30,7 +30,6 @@ from .report.notebook import scene_3d as scene_3d
 from .report.scene import scene as scene
 from .runs.errors import InputError as InputError
 from .runs.record import Outcome as Outcome
-from .subject.capsule import with_capsule as with_capsule
 from .subject.check import check_geometry as check_geometry
 from .subject.folder import example as example
 from .subject.folder import read_subject as read_subject

@@ -16,7 +16,7 @@ GROUPS = {"posteromedial": "PMC", "posterolateral": "PLC", "anterolateral": "ALC
 
 @pytest.fixture(scope="module")
 def knee() -> ik.Knee:
-    return ik.with_capsule(ik.reference_knee())
+    return ik.subject.with_capsule(ik.reference_knee())
 
 
 def test_each_sheet_has_one_stiffness_and_one_strain(knee: ik.Knee) -> None:
@@ -52,7 +52,7 @@ def test_it_is_read_from_a_subject_file_and_written_as_ligaments(tmp_path: Path)
     text = file.read_text()
     file.write_text(text.replace("[surfaces]", 'capsule = ["posteromedial"]\n\n[surfaces]', 1))
     read = ik.read_subject(folder)
-    made = ik.with_capsule(plain, ["posteromedial"])
+    made = ik.subject.with_capsule(plain, ["posteromedial"])
     assert [x.name for x in read.ligaments] == [x.name for x in made.ligaments]
     for one, other in zip(read.ligaments, made.ligaments, strict=True):
         np.testing.assert_allclose(one.femur, other.femur, atol=1e-3)
@@ -67,7 +67,7 @@ def test_it_is_read_from_a_subject_file_and_written_as_ligaments(tmp_path: Path)
 
 def test_names_that_are_taken_are_refused(knee: ik.Knee) -> None:
     with pytest.raises(ValueError, match="called ALC"):
-        ik.with_capsule(knee, ["anterolateral"])
+        ik.subject.with_capsule(knee, ["anterolateral"])
 
 
 def test_a_structure_that_sheets_cover_is_no_cause() -> None:
@@ -80,7 +80,7 @@ def test_a_structure_that_sheets_cover_is_no_cause() -> None:
         (["posterolateral"], set(structures)),
         (list(GROUPS), set()),
     ):
-        causes = {x.name for x in library(ik.with_capsule(knee, sheets))}
+        causes = {x.name for x in library(ik.subject.with_capsule(knee, sheets))}
         assert causes.intersection(structures) == left
 
 
