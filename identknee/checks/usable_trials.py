@@ -506,7 +506,7 @@ def candidate_path_findings(model: LaxityModel) -> tuple[str, ...]:
     if model.poses is None:
         return ()
     sentence = (
-        "A trial that was not made has no measured pose: its equilibrium was continued under an "
+        "A trial that was not made has no measured pose: its equilibrium was continued under a "
         "growing load from the mean pose of the trials made, interpolated over flexion."
     )
     return (sentence,)

@@ -11,7 +11,7 @@ those widens its noise.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -408,6 +408,14 @@ class TrialFeatures:
         return values - values[0], self.points.jacobians[:, trials], self.shared.slopes[trials]
 
 
+@declared
+class UnboundedEnd:
+    """An open end of a target's interval that no candidate closes."""
+
+    target: str = entry("Name of the target")
+    end: Literal["below", "above"] = entry("Which end of its interval")
+
+
 NONE_ALLOWED = (
     "no candidate has a prediction at all parameter sets that the data allow; offer others"
 )
@@ -456,6 +464,11 @@ class ChosenTrials:
         group="profile_after",
     )
     n_simulations: int = entry("Simulations made, profiles included", unit="1")
+    unbounded: tuple[UnboundedEnd, ...] = entry(
+        "Open ends that none of the candidates is predicted to close by itself, nor the chosen "
+        "ones together when they were simulated",
+        default=(),
+    )
     narrowing: Narrowing = entry(
         "What one trial, or one stated error known better, tells by itself", is_inline=True
     )
@@ -605,6 +618,7 @@ def design(
     else:
         whole = with_priors_of(shared.with_trials(chosen, best), problem)
     after = profiles_of(whole, best, quantities)
+    made, offered = along.beside(())
     intervals = width.intervals(_stages(along, chosen))
     predicted = [np.where(is_open, np.nan, ends) for ends, is_open in intervals]
     return ChosenTrials(
@@ -617,7 +631,8 @@ def design(
         alone=np.where(allowed, loss(np.add(*features.beside(()))), np.nan),
         predicted=np.stack(predicted, axis=1),
         sds=np.sqrt(local.variances(_stages(replace(features, loss=local), chosen))),
-        narrowing=narrowing(width, along.beside(()), allowed, halved),
+        unbounded=_unbounded_ends(after, width.intervals(made + offered[allowed])),
+        narrowing=narrowing(width, (made, offered), allowed, halved),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),
@@ -634,6 +649,19 @@ def _default_targets(
     is_open = [x.lower is None or x.upper is None for x in profiles]
     chosen = [i for i in range(len(every)) if is_open[i] or not any(is_open)]
     return tuple(every[i] for i in chosen), tuple(profiles[i] for i in chosen)
+
+
+def _unbounded_ends(
+    after: Sequence[Profile], alone: Sequence[tuple[Array, BoolArray]]
+) -> tuple[UnboundedEnd, ...]:
+    """Ends that are open with the chosen trials and with each candidate alone."""
+    found = []
+    for profile, (_, is_open) in zip(after, alone, strict=True):
+        if profile.lower is None and is_open[:, 0].all():
+            found.append(UnboundedEnd(target=profile.name, end="below"))
+        if profile.upper is None and is_open[:, 1].all():
+            found.append(UnboundedEnd(target=profile.name, end="above"))
+    return tuple(found)
 
 
 def _stages(features: TrialFeatures, chosen: tuple[int, ...]) -> Array:

@@ -842,6 +842,9 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     and valgus of 10 N·m, anterior 134 N, posterior 100 N, compression 250 N, distraction 100 N, and
     pairs of them; and every trial made already, once more.
 
+    No rig repeats a trial with its stray loads and its decimals of flexion. Such a trial is offered
+    as it was meant, see `nominal_trials`.
+
     Parameters
     ----------
     made
@@ -857,18 +860,32 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     >>> candidates.n, candidates.trials[63]
     (104, 'flexion0_internal-5Nm')
     """
-    trials = zip(made.trials, made.flexion_deg, made.loads, strict=True)
-    rows = {_key(a, x): (t, float(a), x) for t, a, x in trials}
+    is_exact, flexion, meant = nominal_trials(made)
+    repeats = np.flatnonzero(is_exact).tolist()
+    rows = {
+        _key(made.flexion_deg[i], made.loads[i]): (
+            made.trials[i],
+            float(made.flexion_deg[i]),
+            made.loads[i],
+        )
+        for i in repeats
+    }
+    usual = [
+        (float(angle), np.array([loads.get(column, 0.0) for column in LOADS]))
+        for angle in flexion_deg
+        for loads in (*SINGLE, *COMBINED)
+    ]
     taken = set(made.trials)
-    for angle in flexion_deg:
-        for loads in (*SINGLE, *COMBINED):
-            values = np.array([loads.get(column, 0.0) for column in LOADS])
-            name = trial_name(angle, values.tolist())
-            # A trial made under this name may have other loads.
-            while name in taken and _key(angle, values) not in rows:
-                name += "_new"
-            rows.setdefault(_key(angle, values), (name, float(angle), values))
-            taken.add(name)
+    for angle, values in (
+        *zip(flexion[~is_exact].tolist(), meant[~is_exact], strict=True),
+        *usual,
+    ):
+        name = trial_name(angle, values.tolist())
+        # A trial made under this name may have other loads.
+        while name in taken and _key(angle, values) not in rows:
+            name += "_new"
+        rows.setdefault(_key(angle, values), (name, angle, values))
+        taken.add(name)
     names, angles, values_of = zip(*rows.values(), strict=True)
     return Protocol(
         name=f"candidates for {made.name}",
@@ -876,6 +893,42 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
         flexion_deg=np.array(angles),
         loads=np.array(values_of),
     )
+
+
+# A load that differs from a usual one by no more than this share of it is meant to be that one.
+AS_USUAL = 0.05
+
+
+def nominal_trials(made: Protocol) -> tuple[BoolArray, Array, Array]:
+    """The trials as they were meant: which are so already, their flexion [deg] and loads, (n, 5).
+
+    A trial is meant to have its dominant load alone, at the largest size of that direction in any
+    trial, to two digits or as in a usual test, and a nominal flexion of whole degrees. It is so
+    already where it has no stray load and a flexion that it shares with other trials.
+    """
+    changes, dominant = _changes(made), dominant_loads(made)
+    flexion = nominal_flexion(made)
+    share = np.abs(changes) / TYPICAL
+    least = np.maximum(STRAY, STRAY_BESIDE * share.max(axis=1, keepdims=True))
+    is_stray = (changes != 0.0) & (share < least)
+    # A load that is the only one is what the trial is about, however small.
+    is_alone = np.count_nonzero(changes, axis=1) == 1
+    is_exact = np.asarray((~is_stray.any(axis=1) | is_alone) & (flexion == made.flexion_deg))
+    loads = np.zeros(made.loads.shape)
+    for i in np.flatnonzero(dominant.axis >= 0):
+        axis, sign = int(dominant.axis[i]), np.sign(dominant.size[i])
+        alike = (dominant.axis == axis) & (np.sign(dominant.size) == sign)
+        loads[i, axis] = _nominal_load(axis, sign * (sign * made.loads[alike, axis]).max())
+    return is_exact, np.where(is_exact, flexion, np.round(flexion)), loads
+
+
+def _nominal_load(axis: int, value: float) -> float:
+    """A load as it was meant: the nearest of usual tests, or else two digits of it."""
+    usual = [x[LOADS[axis]] for x in SINGLE if LOADS[axis] in x]
+    nearest = min(usual, key=lambda x: abs(x - value), default=0.0)
+    if nearest and abs(nearest - value) <= AS_USUAL * abs(nearest):
+        return nearest
+    return float(f"{value:.2g}")
 
 
 def unique_names(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:

@@ -24,7 +24,6 @@ from identknee.runs.words import (
     label_without_unit,
     listed,
     parameter_words,
-    unit_of,
 )
 from identknee.subject.knee import Knee
 from identknee.verbs.design import ADVICE, Design
@@ -172,6 +171,29 @@ def _percent(row: dict[str, Any]) -> str:
 MOST_NAMED = 3
 
 
+def unbounded_words(choice: ChosenTrials) -> str:
+    """Which open ends no candidate closes, as a sentence; empty where there are none."""
+    ends: dict[str, list[str]] = {}
+    for x in choice.unbounded:
+        ends.setdefault(label_without_unit(x.target), []).append(x.end)
+    named = [f"{name} {' or '.join(x)}" for name, x in ends.items()]
+    if len(named) > MOST_NAMED:
+        named = [*named[:MOST_NAMED], f"{len(named) - MOST_NAMED} more targets"]
+    return f"No candidate bounds {listed(named, 'or')}." if named else ""
+
+
+def _told(choice: ChosenTrials) -> tuple[str, str, str]:
+    """The target to tell of, and its interval now and with the trials: the first that changes."""
+    told = []
+    for name in choice.targets:
+        now, then = (
+            interval_words(x.lower, x.upper, x.unit)
+            for x in (choice.before[name], choice.after[name])
+        )
+        told.append((name, now, then))
+    return next((x for x in told if x[1] != x[2]), told[0])
+
+
 def _target_table(choice: ChosenTrials) -> Table:
     return table(
         "Intervals of the targets",
@@ -206,21 +228,23 @@ class DesignPresenter(Presenter[Design]):
     def statements(self, answer: Design) -> Iterator[Statement]:
         """The trials that shrink open intervals most and by how much, then what was not offered."""
         choice = answer.choice
-        name = choice.targets[0]
-        before, after = choice.before[name], choice.after[name]
         targets = listed(map(parameter_words, choice.targets[:MOST_NAMED]))
         if len(choice.targets) > MOST_NAMED:
             targets = f"all {len(choice.targets)} targets"
         trials = counted(map(trial_description, answer.trials))
+        name, now, then = _told(choice)
         words = capitalised(parameter_words(name))
-        now, then = (interval_words(x.lower, x.upper, before.unit) for x in (before, after))
         narrowing_words = f"{words} {'stays' if now == then else 'would then be'} {then}" + (
             "." if now == then else f"; it is {now} now."
         )
+        parts = (
+            f"Next test for {targets}: {trials}.",
+            narrowing_words,
+            unbounded_words(choice),
+            f"{ADVICE} lists the trials, to be filled in and appended to the data.",
+        )
         yield self.say(
-            f"Next test for {targets}: {trials}. "
-            f"{narrowing_words} {ADVICE} lists the "
-            "trials, to be filled in and appended to the data.",
+            " ".join(filter(None, parts)),
             _target_table(choice),
             table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
             is_answer=True,
@@ -281,10 +305,7 @@ class DesignPresenter(Presenter[Design]):
 
     @override
     def next_tests(self, answer: Design) -> Iterator[str]:
-        choice = answer.choice
-        name = choice.targets[0]
-        before, after = choice.before[name], choice.after[name]
-        now, then = (interval_words(x.lower, x.upper, unit_of(name)) for x in (before, after))
+        name, now, then = _told(answer.choice)
         words = parameter_words(name)
         brings = f"This would narrow {words} to {then}; it is {now} now."
         if now == then:

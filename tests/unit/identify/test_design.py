@@ -129,6 +129,30 @@ def test_an_open_interval_is_closed_as_predicted() -> None:
     np.testing.assert_allclose(found.predicted[-1, 0], [after.lower, after.upper], atol=0.1 * width)
 
 
+def test_ends_that_no_candidate_closes_are_named() -> None:
+    """One that a candidate closes is not among them, and neither is one that is closed already."""
+    matrix = np.array([[1.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    problem = Linear(parameters=plain_parameters(3), matrix=matrix, data=np.zeros(2))
+    blocks = np.array([[[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]])
+    found = design(problem, np.zeros(3), linear_trials(blocks), n_trials=2)
+    assert found.targets == ("x1.value_pct", "x2.value_pct")
+    assert {(x.target, x.end) for x in found.unbounded} == {
+        ("x2.value_pct", "below"),
+        ("x2.value_pct", "above"),
+    }
+    with_it = np.append(blocks, [[[0.0, 0.0, 1.0]]], axis=0)
+    assert not design(problem, np.zeros(3), linear_trials(with_it), n_trials=2).unbounded
+
+
+def test_one_end_may_be_out_of_reach_alone() -> None:
+    problem, late = _decay(np.array([2.5, 3.0]))
+    found = design(problem, problem.minimum, late, n_trials=1)
+    assert ("x0.value_pct", "above") in {(x.target, x.end) for x in found.unbounded}
+    assert ("x0.value_pct", "below") not in {(x.target, x.end) for x in found.unbounded}
+    problem, early = _decay(np.array([0.05, 3.0]))
+    assert not design(problem, problem.minimum, early, n_trials=1).unbounded
+
+
 def test_the_width_beats_the_variance_where_the_interval_is_open() -> None:
     """Or equals it: the variance at the best fit is not what bounds a curved valley."""
     problem, trials = _decay(np.linspace(0.05, 3.0, 12))
