@@ -32,6 +32,8 @@ from identknee.identify.design_criteria import (
     Excluded,
     LocalLoss,
     Loss,
+    OfferedTrials,
+    Step,
     WidthLoss,
     WithTrials,
     paths_of,
@@ -81,10 +83,8 @@ class LinearisedCandidates:
         return self.at_theta[list(chosen)] + slopes @ (theta - self.theta), slopes
 
 
-def linearised(
-    problem: Problem, theta: Array, candidates: CandidateTrials
-) -> tuple[Problem, LinearisedCandidates]:
-    """Problem and candidates linearised at theta, priors kept."""
+def linearised(problem: Problem, theta: Array) -> Problem:
+    """A problem linearised at theta, priors kept."""
     data = without_priors(problem)
     lines = LinearisedProblem(
         parameters=problem.parameters,
@@ -92,11 +92,15 @@ def linearised(
         at_theta=data.residuals(theta),
         slopes=data.jacobian(theta),
     )
+    return with_priors_of(lines, problem)
+
+
+def linearised_candidates(candidates: CandidateTrials, theta: Array) -> LinearisedCandidates:
+    """Candidates linearised at theta."""
     values, slopes = candidates.predict(theta, range(len(candidates.names)))
-    offered = LinearisedCandidates(
+    return LinearisedCandidates(
         names=tuple(candidates.names), theta=theta, at_theta=values, slopes=slopes
     )
-    return with_priors_of(lines, problem), offered
 
 
 @declared
@@ -129,6 +133,12 @@ class Narrowing:
         unit=OF_QUANTITY,
         key="width_with_error_halved",
     )
+    with_step: Array = array(
+        "Predicted width with one step of another kind; NaN for those without a prediction",
+        *("step_of_another_kind", "target"),
+        unit=OF_QUANTITY,
+        key="width_with_step",
+    )
 
     @property
     def by_trial(self) -> Array:
@@ -140,14 +150,20 @@ class Narrowing:
         """Relative narrowing of each target by halving each error, shape ``(e, t)``."""
         return np.asarray(1.0 - self.with_error_halved / self.now)
 
+    @property
+    def by_step(self) -> Array:
+        """Relative narrowing of each target by each step of another kind; NaN if excluded."""
+        return np.asarray(1.0 - self.with_step / self.now)
+
 
 def narrowing(
     width: WidthLoss,
     features: tuple[Array, Array],
     allowed: BoolArray,
     halved: Mapping[str, Array],
+    n_steps: int,
 ) -> Narrowing:
-    """Narrowing of the targets by each trial and each halved error, one at a time.
+    """Narrowing of the targets by each trial, halved error and other step, one at a time.
 
     Parameters
     ----------
@@ -159,14 +175,18 @@ def narrowing(
         Which candidates are offered, shape ``(k,)``.
     halved
         Features of each error known twice as well, shape ``(1, f)``, by its name.
+    n_steps
+        How many of the candidates, the last ones, are steps of another kind.
     """
     made, trials = features
+    n = len(trials) - n_steps
     with_trial = np.full((len(trials), len(width.paths)), np.nan)
     with_trial[allowed] = _widths(width, made + trials[allowed])
     return Narrowing(
         errors=tuple(halved),
         now=_widths(width, made[None])[0],
-        with_trial=with_trial,
+        with_trial=with_trial[:n],
+        with_step=with_trial[n:],
         with_error_halved=_widths(
             width, made + np.vstack([np.empty((0, made.size)), *halved.values()])
         ),
@@ -469,8 +489,15 @@ class ChosenTrials:
         "ones together when they were simulated",
         default=(),
     )
+    steps: tuple[Step, ...] = entry(
+        "Steps beside one more trial that were compared with it", default=()
+    )
+    costs: Mapping[str, float] = entry(
+        "What a step of each kind costs, in units of one more trial", default_factory=dict
+    )
     narrowing: Narrowing = entry(
-        "What one trial, or one stated error known better, tells by itself", is_inline=True
+        "What one trial, one stated error known better, or one other step tells by itself",
+        is_inline=True,
     )
 
     def __post_init__(self) -> None:
@@ -492,23 +519,33 @@ class ChosenTrials:
 
     @property
     @derived(
-        "Every candidate offered and every stated error, the most helpful first: what it is, its "
-        "name, and the share by which it narrows the targets by itself: one more trial, or the "
-        "error's standard deviation halved; the geometric mean over the targets, predicted"
+        "Every candidate offered, every stated error and every other step, the most helpful first: "
+        "what it is, its name, and the share by which it narrows the targets by itself: one more "
+        "trial, the error's standard deviation halved, or the step; the geometric mean over the "
+        "targets, predicted; and the same for the cost of one trial"
     )
     def ranking(self) -> tuple[dict[str, Any], ...]:
-        """Trials and halved errors, ranked by how much they narrow the targets."""
+        """Trials, halved errors and other steps, by how much they narrow the targets per cost."""
         parts = (
-            ("trial", self.names, self.narrowing.by_trial),
-            ("error", self.narrowing.errors, self.narrowing.by_error),
+            *(("trial", *x) for x in zip(self.names, self.narrowing.by_trial, strict=True)),
+            *(
+                ("error", *x)
+                for x in zip(self.narrowing.errors, self.narrowing.by_error, strict=True)
+            ),
+            *(
+                (step.kind, step.name, shares)
+                for step, shares in zip(self.steps, self.narrowing.by_step, strict=True)
+            ),
         )
-        rows: list[dict[str, Any]] = [
-            {"kind": kind, "name": name, "narrowing": mean_narrowing(shares)}
-            for kind, names, table in parts
-            for name, shares in zip(names, table, strict=True)
-            if np.isfinite(shares).all()
-        ]
-        return tuple(sorted(rows, key=lambda row: -row["narrowing"]))
+        rows: list[dict[str, Any]] = []
+        for kind, name, shares in parts:
+            if np.isfinite(shares).all():
+                found = mean_narrowing(shares)
+                per_cost = 1.0 - (1.0 - found) ** (1.0 / self.costs.get(kind, 1.0))
+                rows.append(
+                    {"kind": kind, "name": name, "narrowing": found, "per_cost": float(per_cost)}
+                )
+        return tuple(sorted(rows, key=lambda row: -row["per_cost"]))
 
     @property
     @derived("Number of candidates", unit="1")
@@ -525,7 +562,7 @@ class ChosenTrials:
 def design(
     problem: Problem,
     optimum_theta: ArrayLike,
-    candidates: CandidateTrials,
+    offered: CandidateTrials | OfferedTrials,
     *,
     n_trials: int,
     targets: Sequence[Quantity] = (),
@@ -545,8 +582,9 @@ def design(
         Residuals in units of their noise.
     optimum_theta
         The best fit, shape ``(n,)``.
-    candidates
-        Trials to choose from.
+    offered
+        Trials to choose from, and other steps, which are compared with one more trial and not
+        chosen.
     n_trials
         How many to add.
     targets
@@ -573,6 +611,10 @@ def design(
         raise ValueError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
     if not problem.parameters.is_of_interest.any():
         raise ValueError("all parameters of interest are fixed; leave at least one free")
+    if not isinstance(offered, OfferedTrials):
+        offered = OfferedTrials(trials=offered)
+    names, candidates = tuple(offered.trials.names), offered.all
+    n = len(names)
     profiles_of = partial(profile_quantities, executor=executor, **settings)
     theta = np.asarray(optimum_theta, dtype=np.float64)
     # Nuisances are marginalised, unless a target is no parameter.
@@ -591,7 +633,8 @@ def design(
     points = predict_candidates(problem, before, candidates, executor)
     excluded = points.excluded(candidates.names)
     allowed = ~np.isin(candidates.names, [x.name for x in excluded])
-    if not allowed.any():
+    is_trial = np.arange(len(allowed)) < n
+    if not allowed[:n].any():
         raise ValueError(NONE_ALLOWED)
     gradients = np.array([x.evaluate(points.thetas[0])[1] for x in quantities]) * points.scales
     width = WidthLoss(paths=paths_of(before, quantities, points.scales))
@@ -603,7 +646,7 @@ def design(
     loss: Loss = width if criterion == "width" else local
     known = None if shared is None else shared.known(points)
     features = TrialFeatures(loss=loss, points=points, allowed=allowed, shared=shared, known=known)
-    chosen = choose(lambda x: loss(np.add(*features.beside(x))), allowed, n_trials)
+    chosen = choose(lambda x: loss(np.add(*features.beside(x))), allowed & is_trial, n_trials)
     along = replace(features, loss=width)
     halved = (
         halved_error_features(width, points, problem.parameters)
@@ -618,21 +661,23 @@ def design(
     else:
         whole = with_priors_of(shared.with_trials(chosen, best), problem)
     after = profiles_of(whole, best, quantities)
-    made, offered = along.beside(())
+    made, next_steps = along.beside(())
     intervals = width.intervals(_stages(along, chosen))
     predicted = [np.where(is_open, np.nan, ends) for ends, is_open in intervals]
     return ChosenTrials(
         criterion=criterion,
-        names=tuple(candidates.names),
+        names=names,
         targets=tuple(x.name for x in before),
         chosen=chosen,
-        excluded=excluded,
+        excluded=tuple(x for x in excluded if x.name in names),
         losses=loss(_stages(features, chosen)),
-        alone=np.where(allowed, loss(np.add(*features.beside(()))), np.nan),
+        alone=np.where(allowed, loss(np.add(*features.beside(()))), np.nan)[:n],
         predicted=np.stack(predicted, axis=1),
         sds=np.sqrt(local.variances(_stages(replace(features, loss=local), chosen))),
-        unbounded=_unbounded_ends(after, width.intervals(made + offered[allowed])),
-        narrowing=narrowing(width, (made, offered), allowed, halved),
+        unbounded=_unbounded_ends(after, width.intervals(made + next_steps[allowed & is_trial])),
+        steps=offered.steps,
+        costs=offered.costs,
+        narrowing=narrowing(width, (made, next_steps), allowed, halved, len(offered.steps)),
         before={x.name: x for x in before},
         after={x.name: x for x in after},
         n_simulations=points.n_simulations + sum(x.n_simulations for x in (*before, *after)),

@@ -4,7 +4,7 @@ Every trial has features, numbers that add up over the trials of a set; a loss i
 sum. A set is then judged without another simulation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -228,6 +228,71 @@ class CandidateTrials(Protocol):
         In units of the noise, errors independent, shapes ``(k, m)`` and ``(k, m, n)``; NaN in all
         of a trial that has no prediction. A trial may be chosen more than once.
         """
+
+
+@declared
+class Step:
+    """A step beside one more trial: a cut and a trial in that state, or a force in a trial."""
+
+    name: str = entry("Name of the step")
+    kind: Literal["cut", "force", "contact"] = entry(
+        "``cut``: a structure is cut and a trial made in that state; ``force``: the tension of a "
+        "structure is measured in a trial; ``contact``: the forces of both compartments are"
+    )
+    structure: str = entry("The structure; empty for contact forces")
+    trial: str = entry("Name of the trial")
+
+
+@declared
+class OfferedTrials:
+    """Trials to choose from, and steps of other kinds to compare one more trial with."""
+
+    trials: CandidateTrials = entry("The trials")
+    steps: tuple[Step, ...] = entry("The other steps", default=())
+    measured: CandidateTrials | None = entry(
+        "What would be measured in the other steps, in their order", default=None
+    )
+    costs: Mapping[str, float] = entry(
+        "What a step of each kind costs: ``trial``, ``error``, ``cut``, ``force``, ``contact``; 1 "
+        "where nothing is said",
+        default_factory=dict,
+    )
+
+    @property
+    def all(self) -> CandidateTrials:
+        """The trials, then the other steps."""
+        if self.measured is None:
+            return self.trials
+        return SeveralCandidates(parts=(self.trials, self.measured))
+
+
+@declared
+class SeveralCandidates:
+    """Candidates of several kinds as one list; those with fewer values have zeros for the rest."""
+
+    parts: tuple[CandidateTrials, ...] = entry("The candidates of each kind")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all."""
+        return tuple(name for part in self.parts for name in part.names)
+
+    def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """As each kind predicts its own."""
+        asked = np.asarray(chosen, int)
+        sizes = np.cumsum([0, *(len(x.names) for x in self.parts)])
+        of = np.searchsorted(sizes, asked, side="right") - 1
+        found = []
+        for i, part in enumerate(self.parts):
+            rows = np.flatnonzero(of == i)
+            if rows.size:
+                found.append((rows, part.predict(theta, (asked[rows] - sizes[i]).tolist())))
+        most = max(values.shape[1] for _, (values, _) in found)
+        whole = np.zeros((len(of), most)), np.zeros((len(of), most, found[0][1][1].shape[2]))
+        for rows, own in found:
+            for into, values in zip(whole, own, strict=True):
+                into[rows, : values.shape[1]] = values
+        return whole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -191,5 +191,6 @@ def with_unloaded(protocol: Protocol) -> Protocol:
         trials=tuple(f"unloaded at {angle!r}".removesuffix(".0") for angle in missing),
         flexion_deg=np.array(missing),
         loads=np.zeros((len(missing), protocol.loads.shape[1])),
+        state=None if protocol.state is None else protocol.state[:1] * len(missing),
     )
     return concatenate([protocol, added], name=protocol.name)

@@ -1,6 +1,6 @@
 """Which laxity trials to add to those measured, so that they tell what is left open."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Unpack
 
@@ -15,21 +15,45 @@ from identknee.calibrate.problem import (
     value_at,
 )
 from identknee.checks.usable_trials import candidate_path_findings
-from identknee.identify.design import ChosenTrials, linearised
+from identknee.identify.design import ChosenTrials, linearised, linearised_candidates
 from identknee.identify.design import design as choose_trials
-from identknee.identify.design_criteria import CandidateTrials, Criterion
+from identknee.identify.design_criteria import (
+    CandidateTrials,
+    Criterion,
+    OfferedTrials,
+    SeveralCandidates,
+    Step,
+)
 from identknee.identify.profile.result import chi2_threshold, f_threshold
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
+from identknee.model.candidate_steps import (
+    CONTACT_SD,
+    TENSION_SD,
+    candidate_forces,
+    current_state,
+    laxity_after_cuts,
+    with_state,
+)
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
+from identknee.runs.errors import suggestion
+from identknee.subject.knee import Knee
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import Identification, best_fits, identification
+from identknee.verbs.identification import (
+    Identification,
+    best_fits,
+    identification,
+    with_noise,
+)
 from identknee.verbs.options import option, trials_option
 from identknee.verbs.question import has_priors
+from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import Run, verb
 
 ADVICE = "advised_trials.csv"
@@ -65,6 +89,9 @@ class Design(Answer):
         default=None,
     )
     zero: str = entry("What coordinates of the data are counted from")
+    state: str = entry(
+        "State of the knee in which trials may be added: that with the most cuts", default=INTACT
+    )
     degrees_of_freedom: int | None = entry(
         "Degrees of freedom of the noise estimated from the fit; null where the noise is stated"
     )
@@ -88,6 +115,7 @@ class Design(Answer):
             trials=self.advised,
             flexion_deg=self.flexion_deg[chosen],
             loads=self.loads[chosen],
+            state=(self.state,) * n,
         )
         return Laxity(
             protocol=protocol,
@@ -115,12 +143,20 @@ class Design(Answer):
         }
 
 
+KINDS, NEVER = ("trial", "error", "cut", "force", "contact"), "never"
+CostsLike = str | Mapping[str, float | str] | None
+
+
 @verb
 def design(
     run: Run,
     subject: options.Subject,
-    data: options.Data,
+    data: options.MaybeData = None,
     *,
+    protocol: Annotated[
+        TrialsLike | None,
+        trials_option("Trials that are planned, before there is any {DATA}: {}."),
+    ] = None,
     n_trials: Annotated[int, option("Number of trials to add.", least=1)] = 4,
     targets: Annotated[
         Sequence[str] | None,
@@ -147,6 +183,18 @@ def design(
             "compression and pairs of loads at 0 to 120 deg, and repeats."
         ),
     ] = None,
+    cost: Annotated[
+        CostsLike,
+        option(
+            "What other steps cost beside one more trial, as in cut=5,force=3,contact=8; 1 each "
+            "if not given, never for a step that you do not consider. error: a stated error "
+            "halved. cut: a structure cut and a trial in that state. force: the tension of a "
+            "structure in a trial. contact: the contact forces in a trial.",
+            in_python="A text, or numbers by kind of step.",
+            metavar="KIND=COST,...",
+            typed=str | None,
+        ),
+    ] = None,
     level: options.Level = 0.95,
     noise: options.Noise = None,
     start: options.Start = "subject",
@@ -159,7 +207,8 @@ def design(
     """Which laxity trials to add to those measured, so that they tell what is left open.
 
     The advice is checked: the trials are simulated at the best fit and added to the data, and the
-    intervals are computed again. Fill in advised_trials.csv and append it to your data.
+    intervals are computed again. Fill in advised_trials.csv and append it to your data. One more
+    trial is compared with other single steps: a stated error halved, a cut, a measured force.
 
     Raises
     ------
@@ -169,6 +218,11 @@ def design(
         If no parameters near the start have a prediction in every measured trial.
     """
     asked = None if candidates is None else read_trials(candidates)
+    costs = costs_of(cost)
+    if data is None:
+        data, noise = _planned(subject, protocol, noise), None
+    elif protocol is not None:
+        raise ValueError("--protocol is for trials that are planned; leave it out beside DATA.csv")
     setup = identification(
         subject,
         data,
@@ -179,11 +233,12 @@ def design(
         priors=has_priors("design", priors),
     )
     made = setup.laxity.protocol
-    protocol = offered_laxity(setup.model, made) if asked is None else asked
+    state = current_state(made)
+    offered_trials = offered_laxity(setup.model, made) if asked is None else asked
     offered = CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,
-        protocol=protocol,
+        protocol=offered_trials if asked else with_state(offered_trials, state),
         sd=typical_errors(_with_errors(setup)),
         free=setup.free,
     )
@@ -193,16 +248,25 @@ def design(
     fits = best_fits(setup, seed=seed, executor=run.executor)
     for target in wanted:
         value_at(target, fits[0].theta)
+    theta = fits[0].theta
     problem: Problem = setup.problem
-    begun: CandidateTrials = offered.with_start_poses(fits[0].theta)
+    begun: CandidateTrials = offered.with_start_poses(theta)
+    steps, measured = _other_steps(offered, state, costs, theta)
     about_errors = _marginalisation_sentence(setup, wanted)
     if about_errors and setup.model.poses is not None:
-        problem, begun = linearised(problem, fits[0].theta, begun)
+        problem, begun = linearised(problem, theta), linearised_candidates(begun, theta)
+        if measured is not None:
+            measured = linearised_candidates(measured, theta)
         about_errors = (*about_errors, STRAIGHT)
     choice = choose_trials(
         problem,
-        fits[0].theta,
-        begun,
+        theta,
+        OfferedTrials(
+            trials=begun,
+            steps=steps,
+            measured=measured,
+            costs={k: x for k, x in costs.items() if x is not None},
+        ),
         n_trials=n_trials,
         targets=wanted,
         criterion=criterion,
@@ -218,13 +282,114 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        assumptions=(*setup.assumptions, *about_errors, *candidate_path_findings(setup.model)),
-        **setup.uncertain_at(fits[0].theta),
-        findings=setup.findings_at(fits[0].theta, 2.0 * fits[0].objective, fits),
+        state=state,
+        assumptions=(
+            *setup.assumptions,
+            *about_errors,
+            *_step_sentence(steps),
+            *candidate_path_findings(setup.model),
+        ),
+        **setup.uncertain_at(theta),
+        findings=setup.findings_at(theta, 2.0 * fits[0].objective, fits),
     )
     if run.out is not None:
         write_laxity(answer.to_measure, run.out / ADVICE)
     return answer
+
+
+def costs_of(cost: CostsLike) -> dict[str, float | None]:
+    """Cost of each kind of step, None for one that is not considered.
+
+    Raises
+    ------
+    ValueError
+        If a kind is unknown, or a cost is no number above 0.
+
+    Examples
+    --------
+    >>> costs_of("cut=5,contact=never")
+    {'trial': 1.0, 'error': 1.0, 'cut': 5.0, 'force': 1.0, 'contact': None}
+    """
+    stated: Mapping[str, float | str]
+    if cost is None or isinstance(cost, str):
+        parts = [x.partition("=") for x in (cost or "").split(",") if x.strip()]
+        stated = {name.strip(): value.strip() for name, _, value in parts}
+    else:
+        stated = cost
+    found: dict[str, float | None] = dict.fromkeys(KINDS, 1.0)
+    for name, value in stated.items():
+        if name not in KINDS:
+            raise ValueError(f"--cost {name}: there is no such step. {suggestion(name, KINDS)}")
+        try:
+            number = None if value == NEVER else float(value)
+        except ValueError:
+            number = np.nan
+        is_needed = name in ("trial", "error")
+        if (number is None and is_needed) or (number is not None and not 0.0 < number < np.inf):
+            remedy = "a number above 0" if is_needed else f"a number above 0 or {NEVER!r}"
+            raise ValueError(f"--cost {name} must be {remedy}, got {value!r}")
+        found[name] = number
+    return found
+
+
+def _planned(knee: Knee, protocol: TrialsLike | None, noise: NoiseLike) -> Laxity:
+    """Laxity of the subject as it stands under trials that are planned, with the stated noise."""
+    if protocol is None:
+        raise ValueError("give measured laxity, or --protocol with the trials that are planned")
+    if noise is None:
+        raise ValueError("planned trials need the noise that is expected: --noise 0.5mm,0.5deg")
+    model = LaxityModel(knee=knee, protocol=read_trials(protocol))
+    return with_noise(model.simulate(model.parameters.start), noise)
+
+
+def _other_steps(
+    offered: CandidateLaxity, state: str, costs: Mapping[str, float | None], theta: Array
+) -> tuple[tuple[Step, ...], CandidateTrials | None]:
+    """Steps beside one more trial that are considered, and what they would measure."""
+    steps: list[Step] = []
+    parts: list[CandidateTrials] = []
+    if costs["cut"] is not None:
+        for after in laxity_after_cuts(offered, state):
+            parts.append(after.laxity.with_start_poses(theta))
+            steps += [
+                Step(name=name, kind="cut", structure=after.ligament, trial=trial)
+                for name, trial in zip(parts[-1].names, after.trials, strict=True)
+            ]
+    if costs["force"] is not None or costs["contact"] is not None:
+        forces = candidate_forces(
+            offered,
+            state,
+            has_tensions=costs["force"] is not None,
+            has_contact=costs["contact"] is not None,
+        )
+        parts.append(forces.with_start_poses(theta))
+        trials = forces.model.protocol.trials
+        steps += [
+            Step(
+                name=name,
+                kind="force" if structure else "contact",
+                structure=structure,
+                trial=trials[i],
+            )
+            for name, (i, structure) in zip(forces.names, forces.places, strict=True)
+        ]
+    return tuple(steps), SeveralCandidates(parts=tuple(parts)) if parts else None
+
+
+def _step_sentence(steps: Sequence[Step]) -> tuple[str, ...]:
+    """How well forces are taken to be measured."""
+    kinds = {x.kind for x in steps}
+    said = [
+        f"{what} to {sd:g} N"
+        for kind, what, sd in (
+            ("force", "tensions of structures", TENSION_SD),
+            ("contact", "contact forces", CONTACT_SD),
+        )
+        if kind in kinds
+    ]
+    return (
+        (f"Forces that may be measured are taken to be known: {', '.join(said)}.",) if said else ()
+    )
 
 
 def _marginalisation_sentence(

@@ -38,6 +38,7 @@ MODULES = {
     "priors": "verify_priors",
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
+    "forecast": "verify_forecast",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }

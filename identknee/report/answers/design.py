@@ -101,48 +101,72 @@ MOST_ROWS = 12
 UNITS = ("mm", "deg")
 
 
-def better_known_statements(answer: Design) -> Iterator[Statement]:
-    """Which stated error is best known better, and how it compares with the best trial."""
+def single_step_statements(answer: Design) -> Iterator[Statement]:
+    """What one step of each kind narrows: a trial, an error known better, a cut, a force."""
     ranking, targets = answer.choice.ranking, answer.choice.targets
-    errors, trials = ([x for x in ranking if x["kind"] == y] for y in ("error", "trial"))
-    if not errors:
+    best: dict[str, dict[str, Any]] = {}
+    for row in ranking:
+        best.setdefault(row["kind"], row)
+    if len(best) < 2:
         return
-    best, trial = errors[0], trials[0]
     of = (
         f"the interval of {parameter_words(targets[0])}"
         if len(targets) == 1
         else f"the intervals of the {len(targets)} targets on average"
     )
-    is_more = best["narrowing"] > trial["narrowing"]
-    than = "more than any" if is_more else "less than the best"
-    several = len(answer.choice.targets) > 1
+    several = len(targets) > 1
+    costs = answer.choice.costs
+    has_costs = len(set(costs.values())) > 1
     rows = [
         (
-            _trial(answer, x["name"]) if x["kind"] == "trial" else error_words(x["name"]),
+            _step_words(answer, x),
             100.0 * x["narrowing"],
+            *((costs.get(x["kind"], 1.0), 100.0 * x["per_cost"]) if has_costs else ()),
             *(_most(answer, x) if several else ()),
         )
-        for x in answer.choice.ranking[:MOST_ROWS]
+        for x in ranking[:MOST_ROWS]
     ]
-    heads = ("one more trial, or halved uncertainty", ("narrows by", 1, "%"))
+    heads = ("one more step", ("narrows by", 1, "%"))
+    per_cost = (("cost", 1, ""), ("for the cost of a trial", 1, "%"))
     most = ("most of all", ("by", 1, "%"))
+    order = " for its cost" if has_costs else ""
+    steps = "; ".join(f"{_step_words(answer, x)}, {_percent(x)}" for x in best.values())
+    final = " A cut is final: make the trials before it first." if "cut" in best else ""
     yield Statement(
         question=Question.NEXT,
-        sentence=f"Knowing the {error_words(best['name'])} twice as well"
-        f"{sizes_words(answer.nuisances, best['name'])} narrows {of} by {_percent(best)}. "
-        f"That is {than} of the {len(trials)} candidate trials "
-        f"(one more {_trial(answer, trial['name'])}: {_percent(trial)}).",
-        tables=(table("Narrowing of the targets", (*heads, *(most if several else ())), rows),),
+        sentence=f"The best single step of each kind{order}, with how much it narrows {of}: "
+        f"{steps}.{final}",
+        tables=(
+            table(
+                "Narrowing of the targets",
+                (*heads, *(per_cost if has_costs else ()), *(most if several else ())),
+                rows,
+            ),
+        ),
     )
+
+
+def _step_words(answer: Design, row: Mapping[str, Any]) -> str:
+    """What is to be done in one step."""
+    name, choice = row["name"], answer.choice
+    if row["kind"] == "trial":
+        return f"one more {_trial(answer, name)}"
+    if row["kind"] == "error":
+        return f"the {error_words(name)} known twice as well{sizes_words(answer.nuisances, name)}"
+    step = next(x for x in choice.steps if x.name == name)
+    trial = _trial(answer, step.trial)
+    if step.kind == "cut":
+        return f"the {step.structure} cut and {trial}"
+    what = f"tension of the {step.structure}" if step.kind == "force" else "contact forces"
+    return f"the {what} in {trial}"
 
 
 def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
     choice, narrowing = answer.choice, answer.choice.narrowing
-    names, shares = (
-        (choice.names, narrowing.by_trial)
-        if row["kind"] == "trial"
-        else (narrowing.errors, narrowing.by_error)
-    )
+    names, shares = {
+        "trial": (choice.names, narrowing.by_trial),
+        "error": (narrowing.errors, narrowing.by_error),
+    }.get(row["kind"], (tuple(x.name for x in choice.steps), narrowing.by_step))
     own = shares[names.index(row["name"])]
     place = int(np.argmax(own))
     return label_without_unit(choice.targets[place]), 100.0 * float(own[place])
@@ -249,7 +273,7 @@ class DesignPresenter(Presenter[Design]):
             table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
             is_answer=True,
         )
-        yield from better_known_statements(answer)
+        yield from single_step_statements(answer)
         if choice.excluded:
             yield self.say(
                 f"{len(choice.excluded)} of {choice.n_candidates} candidates were "
