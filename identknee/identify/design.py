@@ -133,11 +133,13 @@ class Narrowing:
         unit=OF_QUANTITY,
         key="width_with_error_halved",
     )
-    with_step: Array = array(
-        "Predicted width with one step of another kind; NaN for those without a prediction",
+    with_step: Array | None = array(
+        "Predicted width with one step of another kind; NaN for those without a prediction; "
+        "missing where none was compared",
         *("step_of_another_kind", "target"),
         unit=OF_QUANTITY,
         key="width_with_step",
+        default=None,
     )
 
     @property
@@ -153,7 +155,8 @@ class Narrowing:
     @property
     def by_step(self) -> Array:
         """Relative narrowing of each target by each step of another kind; NaN if excluded."""
-        return np.asarray(1.0 - self.with_step / self.now)
+        widths = np.empty((0, self.now.size)) if self.with_step is None else self.with_step
+        return np.asarray(1.0 - widths / self.now)
 
 
 def narrowing(
@@ -186,7 +189,7 @@ def narrowing(
         errors=tuple(halved),
         now=_widths(width, made[None])[0],
         with_trial=with_trial[:n],
-        with_step=with_trial[n:],
+        with_step=with_trial[n:] if n_steps else None,
         with_error_halved=_widths(
             width, made + np.vstack([np.empty((0, made.size)), *halved.values()])
         ),
@@ -522,7 +525,7 @@ class ChosenTrials:
         "Every candidate offered, every stated error and every other step, the most helpful first: "
         "what it is, its name, and the share by which it narrows the targets by itself: one more "
         "trial, the error's standard deviation halved, or the step; the geometric mean over the "
-        "targets, predicted; and the same for the cost of one trial"
+        "targets, predicted; where costs differ, also the same for the cost of one trial"
     )
     def ranking(self) -> tuple[dict[str, Any], ...]:
         """Trials, halved errors and other steps, by how much they narrow the targets per cost."""
@@ -540,12 +543,18 @@ class ChosenTrials:
         rows: list[dict[str, Any]] = []
         for kind, name, shares in parts:
             if np.isfinite(shares).all():
-                found = mean_narrowing(shares)
-                per_cost = 1.0 - (1.0 - found) ** (1.0 / self.costs.get(kind, 1.0))
-                rows.append(
-                    {"kind": kind, "name": name, "narrowing": found, "per_cost": float(per_cost)}
-                )
+                rows.append({"kind": kind, "name": name, "narrowing": mean_narrowing(shares)})
+        if not self.has_costs:
+            return tuple(sorted(rows, key=lambda row: -row["narrowing"]))
+        for row in rows:
+            cost = self.costs.get(row["kind"], 1.0)
+            row["per_cost"] = float(1.0 - (1.0 - row["narrowing"]) ** (1.0 / cost))
         return tuple(sorted(rows, key=lambda row: -row["per_cost"]))
+
+    @property
+    def has_costs(self) -> bool:
+        """Whether steps of some kinds cost more than of others."""
+        return len({1.0, *self.costs.values()}) > 1
 
     @property
     @derived("Number of candidates", unit="1")

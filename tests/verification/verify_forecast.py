@@ -32,9 +32,8 @@ def measure(options: argparse.Namespace) -> Row:
         for step in _best_steps(choice):
             profiles = ik.profile(knee, _with_step(knee, answer, step), workers=options.workers)
             place = choice.steps.index(step)
-            for target, width in zip(
-                choice.targets, choice.narrowing.with_step[place], strict=True
-            ):
+            by_step = choice.narrowing.now * (1.0 - choice.narrowing.by_step[place])
+            for target, width in zip(choice.targets, by_step, strict=True):
                 own = profiles.parameters[target]
                 if own.lower is not None and own.upper is not None:
                     found.setdefault(step.kind, []).append(width / (own.upper - own.lower) - 1.0)
@@ -79,6 +78,7 @@ def _with_step(knee: ik.Knee, answer: Any, step: Step) -> ik.Laxity:
     if step.kind == "cut":
         return laxity
     trial = base.trials.index(step.trial)
+    names: tuple[str, ...]
     if step.kind == "force":
         names, sd = (f"{step.structure}.tension_N",), TENSION_SD
         values = structure_values(model, prediction, step.structure)[0][trial : trial + 1]

@@ -115,8 +115,7 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
         else f"the intervals of the {len(targets)} targets on average"
     )
     several = len(targets) > 1
-    costs = answer.choice.costs
-    has_costs = len(set(costs.values())) > 1
+    costs, has_costs = answer.choice.costs, answer.choice.has_costs
     rows = [
         (
             _step_words(answer, x),
@@ -130,12 +129,14 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
     per_cost = (("cost", 1, ""), ("for the cost of a trial", 1, "%"))
     most = ("most of all", ("by", 1, "%"))
     order = " for its cost" if has_costs else ""
-    steps = "; ".join(f"{_step_words(answer, x)}, {_percent(x)}" for x in best.values())
+    steps = " ".join(
+        f"{capitalised(_step_words(answer, x))}: {_percent(x)}." for x in best.values()
+    )
     final = " A cut is final: make the trials before it first." if "cut" in best else ""
     yield Statement(
         question=Question.NEXT,
-        sentence=f"The best single step of each kind{order}, with how much it narrows {of}: "
-        f"{steps}.{final}",
+        sentence=f"The best single step of each kind{order}, by how much it narrows {of}: "
+        f"{steps}{final}",
         tables=(
             table(
                 "Narrowing of the targets",

@@ -109,3 +109,38 @@ def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_
     assert answer.choice.ranking == tuple(summary["ranking"])
     with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
         assert set(tree["design"].dataset["error"].values) == insertions
+
+
+def test_other_steps_are_compared_with_one_more_trial_before_there_are_data(
+    tmp_path: Path,
+) -> None:
+    words = (*HELD, "--n-trials", 1, "--target", "LCL.stiffness_kN", "--noise", "0.5mm,0.5deg")
+    words = (*words, "--candidates", short_protocol(tmp_path), "--cost", "cut=4,contact=never")
+    shown = run("design", "reference", "--protocol", "table2", *words, "--out", tmp_path)
+    assert shown.exit_code == 0, shown.output
+    answer = load(tmp_path)
+    assert isinstance(answer, ik.Design)
+    kinds = {x["kind"] for x in answer.choice.ranking}
+    assert {"trial", "cut", "force"} <= kinds
+    assert "contact" not in kinds
+    assert answer.choice.costs == {"trial": 1.0, "error": 1.0, "cut": 4.0, "force": 1.0}
+    for row in answer.choice.ranking:
+        cost = answer.choice.costs[row["kind"]]
+        assert row["per_cost"] == pytest.approx(1.0 - (1.0 - row["narrowing"]) ** (1.0 / cost))
+    assert answer.to_measure.protocol.state is None
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--protocol", "table2"), "--noise"),
+        ((), "--protocol"),
+        (("--protocol", "table2", "--noise", "1mm,1deg", "--cost", "cuts=1"), "cuts"),
+        (("--protocol", "table2", "--noise", "1mm,1deg", "--cost", "cut=-1"), "above 0"),
+        (("--protocol", "table2", "--noise", "1mm,1deg", "--cost", "trial=never"), "trial"),
+    ],
+)
+def test_plans_that_say_too_little_are_refused(
+    tmp_path: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    assert sentence in refused("design", "reference", *words, "--out", tmp_path)

@@ -15,11 +15,18 @@ from identknee.calibrate.problem import (
     with_nuisance_priors,
     without_priors,
 )
-from identknee.identify.design import ChosenTrials, design, linearised
+from identknee.identify.design import (
+    ChosenTrials,
+    design,
+    linearised,
+    linearised_candidates,
+)
 from identknee.identify.design_criteria import (
     CRITERIA,
     Criterion,
     LocalLoss,
+    OfferedTrials,
+    Step,
     WithTrials,
     directions_across,
 )
@@ -276,7 +283,7 @@ def test_straight_lines_are_the_problem_at_the_best_fit_and_itself_where_linear(
     problem, theta = _with_nuisances(), np.array([0.3, -0.2, 0.5, 0.1])
     blocks = np.random.default_rng(12).normal(size=(6, 2, 4))
     candidates = linear_trials(blocks)
-    lines, offered = linearised(problem, theta, candidates)
+    lines, offered = linearised(problem, theta), linearised_candidates(candidates, theta)
     elsewhere = theta + np.array([0.5, -0.4, 0.3, 0.2])
     np.testing.assert_allclose(lines.residuals(elsewhere), problem.residuals(elsewhere))
     np.testing.assert_allclose(lines.jacobian(elsewhere), problem.jacobian(elsewhere))
@@ -336,6 +343,47 @@ def test_an_error_known_better_is_the_problem_with_half_its_prior() -> None:
     shares = [x["narrowing"] for x in found.ranking]
     assert shares == sorted(shares, reverse=True)
     assert {x["name"] for x in found.ranking} == {*found.names, *found.narrowing.errors}
+
+
+STEPS = (
+    Step(name="cut a", kind="cut", structure="a", trial="x"),
+    Step(name="force b", kind="force", structure="b", trial="x"),
+)
+
+
+@pytest.mark.parametrize("has_nuisances", [False, True])
+def test_a_step_of_another_kind_is_worth_what_it_would_measure(has_nuisances: bool) -> None:
+    """It has fewer values than a trial, is not chosen, and is ranked by its cost."""
+    problem: Problem = _with_nuisances() if has_nuisances else _linear()
+    n = problem.parameters.n
+    rng = np.random.default_rng(13)
+    trials, other = rng.normal(size=(5, 2, n)), 20.0 * rng.normal(size=(2, 1, n))
+    optimum = fit(problem, np.zeros(n)).theta
+    offered = OfferedTrials(
+        trials=linear_trials(trials),
+        steps=STEPS,
+        measured=replace(linear_trials(other), names=("cut a", "force b")),
+        costs={"cut": 1e3},
+    )
+    found = design(problem, optimum, offered, n_trials=3)
+    assert set(found.trials) <= set(linear_trials(trials).names)
+    assert found.narrowing.with_trial.shape == (5, len(found.targets))
+    assert found.narrowing.with_step is not None
+    jacobian = problem.jacobian(optimum)
+    is_asked = problem.parameters.is_of_interest
+    for rows, widths in zip(
+        (*trials, *other), (*found.narrowing.with_trial, *found.narrowing.with_step), strict=True
+    ):
+        covariance = np.linalg.inv(jacobian.T @ jacobian + rows.T @ rows)
+        sd = np.sqrt(np.diag(covariance)[is_asked])
+        np.testing.assert_allclose(widths, 2.0 * Z95 * sd, rtol=ENDS)
+    per_cost = {x["name"]: x["per_cost"] for x in found.ranking}
+    sizes = {x["name"]: x["narrowing"] for x in found.ranking}
+    assert list(per_cost.values()) == sorted(per_cost.values(), reverse=True)
+    assert found.ranking[-1]["name"] == "cut a"
+    assert sizes["cut a"] > min(sizes.values())
+    assert per_cost.pop("cut a") < 1e-3
+    assert per_cost == {x: size for x, size in sizes.items() if x != "cut a"}
 
 
 def _jacobian_with_prior(problem: Problem, prior_sd: Array) -> Array:
