@@ -17,6 +17,7 @@ from identknee.laxity.forces import (
     MeasuredForces,
     column_of,
     force_columns,
+    is_beyond_noise,
     quantity_of,
 )
 from identknee.laxity.named_tables import TABLES, laxity_file
@@ -436,13 +437,14 @@ def _forces(row: TableRow, columns: Sequence[str]) -> tuple[list[float], list[fl
     for column in columns:
         value = row.number(column, "this force was not measured")
         spread = row.number(f"{SD}{column}", "its force is blank too")
-        if value is not None and value < 0.0:
-            row.refuse(
-                column, f"the force is {value:g} N", "Give how hard it pulls or presses, 0 or more."
-            )
         if value is not None and not (spread is not None and spread > 0.0):
             why = f"{column} is measured and has no standard deviation greater than 0"
             row.refuse(f"{SD}{column}", why, "Give it in N.")
+        if value is not None and is_beyond_noise(value, spread or 0.0):
+            why = (
+                f"the force is {value:g} N, further below 0 than its noise of {spread:g} N explains"
+            )
+            row.refuse(column, why, "Give how hard it pulls or presses.")
         values.append(math.nan if value is None else value)
         spreads.append(math.nan if spread is None else spread)
     return values, spreads

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identknee.laxity.experiments import cuts_of
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.forces import MeasuredForces
 from identknee.model.contact_loads import contact_jacobian, contact_values
+from identknee.model.experiments import gone_in, members_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_values
 from identknee.model.parameters import Parameters
@@ -47,8 +48,8 @@ class ForceResiduals:
         protocol, forces = self.model.protocol, self.forces
         for trial, k in np.argwhere(forces.is_measured).tolist():
             owner = forces.names[k].rpartition(".")[0]
-            cuts = cuts_of("" if protocol.state is None else protocol.state[trial])
-            if any(x.ligament == owner and not x.is_partial for x in cuts):
+            state = INTACT if protocol.state is None else protocol.state[trial]
+            if members_of(self.model.knee, owner) <= gone_in(self.model.knee, state):
                 raise ValueRefused(
                     f"the table has the force of {owner} in {protocol.trials[trial]}, where it is "
                     "cut",

@@ -86,8 +86,7 @@ def _forces(model: LaxityModel, theta: Array, generator: np.random.Generator) ->
     )
     sd = np.tile([*FORCES.values()], (len(trials), 1))
     values = true + generator.normal(scale=sd)
-    # A load cell reads no pull of a slack ligament as one below zero; such readings are left out.
-    return MeasuredForces(names=tuple(FORCES), values=np.where(values < 0.0, np.nan, values), sd=sd)
+    return MeasuredForces(names=tuple(FORCES), values=values, sd=sd)
 
 
 def _protocol() -> Protocol:

@@ -16,7 +16,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Uncertainty
+from identknee.subject.knee import LigamentGroup, Uncertainty
 
 KNEE = ik.reference_knee().with_uncertainty(Uncertainty(insertions_mm=1.0))
 PROTOCOL = ik.load_protocol("drawer")
@@ -181,8 +181,58 @@ def test_what_has_no_force_is_refused() -> None:
         ik.fit("reference", replace(laxity, sd=None))
     with pytest.raises(ValueError, match="heavy tails"):
         ik.fit("reference", laxity, likelihood="student")
-    with pytest.raises(ValueError, match="negative"):
-        MeasuredForces(names=("ACL.tension_N",), values=np.array([[-1.0]]), sd=np.ones((1, 1)))
+    with pytest.raises(ValueError, match="below 0"):
+        MeasuredForces(names=("ACL.tension_N",), values=np.array([[-4.1]]), sd=np.ones((1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("state", "owner"),
+    [("cut: MCL", "MCLa"), ("cut: MCL", "MCL"), ("cut: MCLa, MCLp", "MCL"), ("cut: MCLa", "MCLa")],
+)
+def test_the_force_of_what_is_cut_is_refused(state: str, owner: str) -> None:
+    forces = MeasuredForces(
+        names=(f"{owner}.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1))
+    )
+    protocol = replace(PROTOCOL.select([0]), state=(state,))
+    model = LaxityModel(knee=_with_bundles(), protocol=protocol)
+    with pytest.raises(ValueError, match=f"force of {owner} .* cut"):
+        ForceResiduals(model=model, forces=forces)
+
+
+def test_a_group_that_keeps_a_bundle_has_a_force() -> None:
+    forces = MeasuredForces(names=("MCL.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1)))
+    for state in ("cut: MCLa", "cut: MCL 50%"):
+        model = LaxityModel(
+            knee=_with_bundles(), protocol=replace(PROTOCOL.select([0]), state=(state,))
+        )
+        assert ForceResiduals(model=model, forces=forces).n == 1
+
+
+def _with_bundles() -> ik.Knee:
+    """The reference knee with an MCL of two bundles, which are a group."""
+    knee = ik.reference_knee()
+    whole = next(x for x in knee.ligaments if x.name == "MCL")
+    half = replace(whole, stiffness_kN=whole.stiffness_kN / 2.0)
+    others = [x for x in knee.ligaments if x.name != "MCL"]
+    bundles = [replace(half, name=x) for x in ("MCLa", "MCLp")]
+    group = LigamentGroup(name="MCL", members=("MCLa", "MCLp"))
+    return replace(knee, ligaments=(*others, *bundles), groups=(group,))
+
+
+def test_a_slack_ligament_may_read_a_little_below_zero(tmp_path: Path) -> None:
+    """Refusing such readings would make the mean of those that are left too high."""
+    laxity = _laxity(("ACL.tension_N",))
+    assert laxity.forces is not None
+    values = np.array(laxity.forces.values)
+    values[1] = -19.0
+    below = replace(laxity, forces=replace(laxity.forces, values=values))
+    path = ik.write_laxity(below, tmp_path / "a.csv")
+    again = ik.read_laxity(path).forces
+    assert again is not None
+    assert again.values[1, 0] == -19.0
+    path.write_text(path.read_text().replace("-19.0,5.0", "-21.0,5.0"))
+    with pytest.raises(ik.InputError, match=r"ACL_tension_N.*below 0"):
+        ik.read_laxity(path)
 
 
 def _with_names(laxity: ik.Laxity, names: tuple[str, ...]) -> ik.Laxity:
