@@ -6,17 +6,8 @@ from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.mechanics.pose import rotation_matrix
 from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, name_axis
+from identknee.runs.declare import array, declared
 
-WRENCH = (
-    "force_x_N",
-    "force_y_N",
-    "force_z_N",
-    "moment_x_Nm",
-    "moment_y_Nm",
-    "moment_z_Nm",
-)
-name_axis("wrench_component", WRENCH)
 NM_PER_NMM = 1e-3
 
 
@@ -28,18 +19,18 @@ class LineWrenches:
     through its origin [rad].
     """
 
-    values: Array = array("Force and moment", "pose", "line", "wrench_component", unit="N and N m")
+    values: Array = array("Force and moment", "pose", "line", "6", unit="N and N m")
     by_twist: Array = array(
         "Their derivatives by a twist of the tibia",
-        *("pose", "line", "wrench_component", "6"),
+        *("pose", "line", "6", "6"),
         unit="N and N m per mm or rad",
     )
     by_stiffness: Array = array(
-        "Their derivatives by the stiffness of the line", "pose", "line", "wrench_component"
+        "Their derivatives by the stiffness of the line", "pose", "line", "6"
     )
     by_strain: Array = array(
         "Their derivatives by the reference strain of the line",
-        *("pose", "line", "wrench_component"),
+        *("pose", "line", "6"),
         unit="N and N m",
     )
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bundled_knee import bundled_knee
 
 import identknee as ik
 from identknee.calibrate.problem import FORCE_TERM, TABLE_TERM
@@ -16,7 +17,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
-from identknee.subject.knee import LigamentGroup, Uncertainty
+from identknee.subject.knee import Uncertainty
 
 KNEE = ik.reference_knee().with_uncertainty(Uncertainty(insertions_mm=1.0))
 PROTOCOL = ik.load_protocol("drawer")
@@ -194,7 +195,7 @@ def test_the_force_of_what_is_cut_is_refused(state: str, owner: str) -> None:
         names=(f"{owner}.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1))
     )
     protocol = replace(PROTOCOL.select([0]), state=(state,))
-    model = LaxityModel(knee=_with_bundles(), protocol=protocol)
+    model = LaxityModel(knee=bundled_knee(), protocol=protocol)
     with pytest.raises(ValueError, match=f"force of {owner} .* cut"):
         ForceResiduals(model=model, forces=forces)
 
@@ -203,20 +204,9 @@ def test_a_group_that_keeps_a_bundle_has_a_force() -> None:
     forces = MeasuredForces(names=("MCL.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1)))
     for state in ("cut: MCLa", "cut: MCL 50%"):
         model = LaxityModel(
-            knee=_with_bundles(), protocol=replace(PROTOCOL.select([0]), state=(state,))
+            knee=bundled_knee(), protocol=replace(PROTOCOL.select([0]), state=(state,))
         )
         assert ForceResiduals(model=model, forces=forces).n == 1
-
-
-def _with_bundles() -> ik.Knee:
-    """The reference knee with an MCL of two bundles, which are a group."""
-    knee = ik.reference_knee()
-    whole = next(x for x in knee.ligaments if x.name == "MCL")
-    half = replace(whole, stiffness_kN=whole.stiffness_kN / 2.0)
-    others = [x for x in knee.ligaments if x.name != "MCL"]
-    bundles = [replace(half, name=x) for x in ("MCLa", "MCLp")]
-    group = LigamentGroup(name="MCL", members=("MCLa", "MCLp"))
-    return replace(knee, ligaments=(*others, *bundles), groups=(group,))
 
 
 def test_a_slack_ligament_may_read_a_little_below_zero(tmp_path: Path) -> None:
