@@ -282,7 +282,7 @@ TABLE_TERM, LIGAMENT_TERM, NUISANCE_TERM = (
     "priors of ligament parameters",
     "priors of nuisance parameters",
 )
-FORCE_TERM = "measured forces"
+FORCE_TERM, SUPERPOSITION_TERM = "measured forces", "superposition"
 
 
 @declared
@@ -290,7 +290,8 @@ class EvidenceTerm:
     """A term of the deviance: what speaks about the knee, and how much of the misfit it has."""
 
     name: str = entry(
-        "Laxity table, measured forces, priors of ligament parameters or of nuisances"
+        "Laxity table, measured forces, superposition (in-situ forces), priors of ligament "
+        "parameters or of nuisances"
     )
     n: int = entry("Its values", unit="1")
     deviance: float = entry("Its sum of squared residuals", unit="1")

@@ -13,6 +13,7 @@ import scipy
 from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
     FORCE_TERM,
+    SUPERPOSITION_TERM,
     TABLE_TERM,
     Problem,
     SumOfTerms,
@@ -31,6 +32,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
+from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
@@ -96,6 +98,8 @@ class TrialSearch:
         As for `LaxityResiduals`.
     bounds, fixed
         As for `identknee.fit`.
+    weighed_at
+        As for `SuperpositionResiduals`.
     """
 
     model: LaxityModel
@@ -103,6 +107,7 @@ class TrialSearch:
     weighting: Weighting
     bounds: Mapping[str, tuple[float, float]]
     fixed: Sequence[str] = ()
+    weighed_at: Array | None = None
 
     def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
@@ -164,12 +169,14 @@ class TrialSearch:
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        return with_nuisance_priors(with_bounds(with_forces(residuals), self.bounds))
+        whole = with_forces(residuals, self.weighed_at)
+        return with_nuisance_priors(with_bounds(whole, self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
         """The same; a trial without equilibrium is held near its measured pose."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
+        whole = defined_everywhere(residuals, self.weighed_at)
+        return with_nuisance_priors(with_bounds(whole, self.bounds))
 
     def stretched(self, start: Array, stretch: float) -> Array:
         """`start` with reference strains as the measured poses have them, kept to the bounds."""
@@ -240,13 +247,20 @@ def held_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
     return replace(residuals, held=held)
 
 
-def defined_everywhere(residuals: LaxityResiduals) -> Problem:
+def defined_everywhere(residuals: LaxityResiduals, weighed_at: Array | None = None) -> Problem:
     """The same with the measured forces of trials that have an equilibrium."""
-    return with_forces(held_everywhere(residuals))
+    return with_forces(held_everywhere(residuals), weighed_at)
 
 
-def with_forces(residuals: LaxityResiduals) -> Problem:
-    """The residuals of a table, and those of the forces that were measured in it.
+def with_forces(residuals: LaxityResiduals, weighed_at: Array | None = None) -> Problem:
+    """The residuals of a table, and those of the forces that were measured with it.
+
+    Parameters
+    ----------
+    residuals
+        Those of the table.
+    weighed_at
+        As for `SuperpositionResiduals`.
 
     Raises
     ------
@@ -254,7 +268,9 @@ def with_forces(residuals: LaxityResiduals) -> Problem:
         If there are forces, and the noise of the coordinates is not stated.
     """
     laxity = residuals.laxity
-    if laxity.forces is None or not laxity.forces.is_measured.any():
+    forces, replayed = laxity.forces, laxity.superposition
+    has_forces = forces is not None and bool(forces.is_measured.any())
+    if not has_forces and replayed is None:
         return residuals
     if residuals.weighting != "noise":
         raise ValueRefused(
@@ -262,9 +278,28 @@ def with_forces(residuals: LaxityResiduals) -> Problem:
             "state that of the coordinates with --noise, for example --noise 0.5mm,0.5deg",
         )
     everywhere = residuals.held is not None
-    forces = ForceResiduals(model=residuals.model, forces=laxity.forces, is_everywhere=everywhere)
-    n = int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)
-    return SumOfTerms(terms={TABLE_TERM: residuals, FORCE_TERM: forces}, sizes=(n, forces.n))
+    terms: dict[str, Problem] = {TABLE_TERM: residuals}
+    sizes = [int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)]
+    if forces is not None and has_forces:
+        of_trials = ForceResiduals(model=residuals.model, forces=forces, is_everywhere=everywhere)
+        terms[FORCE_TERM] = of_trials
+        sizes.append(of_trials.n)
+    if replayed is not None:
+        of_paths = SuperpositionResiduals(
+            model=residuals.model,
+            superposition=replayed,
+            weighed_at=weighed_at,
+            is_everywhere=everywhere,
+        )
+        terms[SUPERPOSITION_TERM] = of_paths
+        sizes.append(of_paths.n)
+    return SumOfTerms(terms=terms, sizes=tuple(sizes))
+
+
+def needs_weights(laxity: Laxity) -> bool:
+    """Whether the covariance of in-situ forces depends on where stiffnesses are taken."""
+    made = laxity.superposition
+    return made is not None and bool(made.pose_sd.any() or made.is_measured[:, -1].any())
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:

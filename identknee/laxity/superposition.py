@@ -14,11 +14,13 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from identknee.laxity.experiments import Cut, cuts_of, state_words
+from identknee.laxity.experiments import INTACT, Cut, cuts_of, state_words
 from identknee.laxity.forces import SD
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table_file import CellFile, TableRow, written
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import array, declared, name_axis
@@ -62,9 +64,7 @@ class Superposition:
         trial repeat each other.
     """
 
-    trials: tuple[str, ...] = array(
-        "Trial whose path was replayed", "row", is_in_arrays=False
-    )
+    trials: tuple[str, ...] = array("Trial whose path was replayed", "row", is_in_arrays=False)
     cut: tuple[str, ...] = array(
         "Ligament, bundle or group that was cut in between", "row", is_in_arrays=False
     )
@@ -94,6 +94,11 @@ class Superposition:
         for i, (cut, before, after) in enumerate(
             zip(self.cut, self.before, self.after, strict=True)
         ):
+            if any(x.ligament == cut and not x.is_partial for x in cuts_of(before)):
+                raise ValueRefused(
+                    f"{self.words(i)}: it is cut already in the state {before!r} before",
+                    "give the states of the knee before and after the cut",
+                )
             if state_with(before, cut) != after:
                 raise ValueRefused(
                     f"{self.words(i)}: the state {after!r} does not follow from {before!r} by "
@@ -106,7 +111,9 @@ class Superposition:
         if not (np.isfinite(self.pose_sd).all() and (self.pose_sd >= 0.0).all()):
             raise ValueError("the standard deviation of a replayed pose is 0 or more")
         if np.any(self.values[:, -1] < 0.0):
-            raise ValueError("the size of an in-situ force is negative: give its components instead")
+            raise ValueError(
+                "the size of an in-situ force is negative: give its components instead"
+            )
         both = measured[:, -1] & measured[:, :-1].any(axis=1)
         if both.any():
             raise ValueRefused(
@@ -136,13 +143,16 @@ class Superposition:
 
     def select(self, rows: Sequence[int] | BoolArray) -> "Superposition":
         """Some of the rows, by their places or a mask."""
-        chosen = np.arange(self.n)[np.asarray(rows)]
-        texts = {
-            name: tuple(getattr(self, name)[i] for i in chosen)
-            for name in ("trials", "cut", "before", "after")
-        }
-        numbers = {name: getattr(self, name)[chosen] for name in ("values", "sd", "pose_sd")}
-        return Superposition(**texts, **numbers)
+        chosen = np.arange(self.n)[np.asarray(rows)].tolist()
+        return Superposition(
+            trials=tuple(self.trials[i] for i in chosen),
+            cut=tuple(self.cut[i] for i in chosen),
+            before=tuple(self.before[i] for i in chosen),
+            after=tuple(self.after[i] for i in chosen),
+            values=self.values[chosen],
+            sd=self.sd[chosen],
+            pose_sd=self.pose_sd[chosen],
+        )
 
     def of_trials(self, names: Iterable[str]) -> "Superposition | None":
         """The rows of some trials; None where there is none."""
@@ -198,10 +208,9 @@ def read_superposition(path: PathLike, reads: str = "") -> Superposition:
     """In-situ forces of a CSV file, one structure and trial a row.
 
     Columns are ``trial``, the path that was replayed; ``cut``, what was cut in between; ``before``
-    and ``after``, the states of the knee (the state of the trial, and that with the cut, where
-    blank); and the wrench of the structure on the tibia, `WRENCH`, or the size of its force alone,
-    such as ``ACL_insitu_N``, each with its ``sd_``. ``pose_sd_mm`` and ``pose_sd_deg`` are the
-    errors of the replayed pose.
+    and ``after``, the states of the knee; and the wrench of the structure on the tibia (`WRENCH`),
+    or the size of its force alone, such as ``ACL_insitu_N``, each with its ``sd_``.
+    ``pose_sd_mm`` and ``pose_sd_deg`` are the errors of the replayed pose.
 
     Parameters
     ----------
@@ -223,7 +232,7 @@ def read_superposition(path: PathLike, reads: str = "") -> Superposition:
         resultants = [x for x in file.columns if _RESULTANT.fullmatch(x) and not x.startswith(SD)]
         measured = (*WRENCH, *resultants)
         known = ("trial", "cut", "before", "after", *measured, *(f"{SD}{x}" for x in measured))
-        file.check_columns((*known, *POSE_SD), ("trial", "cut"))
+        file.check_columns((*known, *POSE_SD), ("trial", "cut", "before", "after"))
         rows = [_row(row, resultants) for row in file.rows()]
         if not rows:
             file.refuse(file.header_line, "", "there is no row below the header", "Add one a cut.")
@@ -235,7 +244,7 @@ def read_superposition(path: PathLike, reads: str = "") -> Superposition:
         trials=trials,
         cut=cut,
         before=before,
-        after=tuple(x or state_with(y, z) for x, y, z in zip(after, before, cut, strict=True)),
+        after=after,
         # Zero stays without a sign.
         values=0.0 + signs * np.array(values),
         sd=np.array(sd),
@@ -261,7 +270,7 @@ def _row(row: TableRow, resultants: Sequence[str]) -> _Row:
         if x != own and row.number(x, f"{x} is of another structure") is not None:
             row.refuse(x, f"the row is one of {cut}", f"Write it into a column {own}.")
     pairs.append(_value(row, own))
-    values, spreads = ([x for x in column] for column in zip(*pairs, strict=True))
+    values, spreads = (list(column) for column in zip(*pairs, strict=True))
     pose_sd = [row.number(x, "the pose has no error") or 0.0 for x in POSE_SD]
     return (row.text("trial"), cut, row.text("before"), row.text("after")), values, spreads, pose_sd
 
@@ -330,19 +339,80 @@ def joined_superpositions(parts: Sequence[Superposition]) -> Superposition | Non
     """The rows of several tables, one after the other."""
     if not parts:
         return None
-    texts = {
-        name: tuple(y for x in parts for y in getattr(x, name))
-        for name in ("trials", "cut", "before", "after")
-    }
-    numbers = {
-        name: np.concatenate([getattr(x, name) for x in parts]) for name in ("values", "sd", "pose_sd")
-    }
-    return Superposition(**texts, **numbers)
+    return Superposition(
+        trials=tuple(y for x in parts for y in x.trials),
+        cut=tuple(y for x in parts for y in x.cut),
+        before=tuple(y for x in parts for y in x.before),
+        after=tuple(y for x in parts for y in x.after),
+        values=np.concatenate([x.values for x in parts]),
+        sd=np.concatenate([x.sd for x in parts]),
+        pose_sd=np.concatenate([x.pose_sd for x in parts]),
+    )
 
 
-def with_trials(
-    superposition: Superposition, trials: Sequence[str], before: Sequence[str]
-) -> Superposition:
-    """The rows under other names of their trials, with the states before them."""
-    after = tuple(state_with(x, y) for x, y in zip(before, superposition.cut, strict=True))
-    return replace(superposition, trials=tuple(trials), before=tuple(before), after=after)
+def check_paths(superposition: Superposition, protocol: Protocol) -> None:
+    """Refuse in-situ forces of paths that no trial has, or that were made after a cut.
+
+    Raises
+    ------
+    ValueError
+        Naming the first.
+    """
+    places = {name: i for i, name in enumerate(protocol.trials)}
+    for row, (trial, before) in enumerate(
+        zip(superposition.trials, superposition.before, strict=True)
+    ):
+        if trial not in places:
+            raise ValueRefused(
+                f"{superposition.words(row)}: no table has this trial",
+                "add a row for it, its coordinates blank if they were not measured",
+            )
+        if not _is_before(_state(protocol, places[trial]), before):
+            state = _state(protocol, places[trial])
+            raise ValueRefused(
+                f"{superposition.words(row)}: the path was made in the state {state!r}, which is "
+                f"not before {before!r}",
+                "name the trial whose path was replayed",
+            )
+
+
+def with_named_paths(superposition: Superposition, protocol: Protocol) -> Superposition:
+    """In-situ forces with the names that trials of several experiments have.
+
+    Where two experiments have a trial of one name, that in the state before the cut is meant, or
+    else the only one that was made before.
+
+    Raises
+    ------
+    ValueError
+        If it is not clear which trial is meant.
+    """
+    pairs = zip(superposition.trials, superposition.before, strict=True)
+    found = [_path(protocol, *pair) for pair in pairs]
+    for row, names in enumerate(found):
+        if len(names) > 1:
+            raise ValueRefused(
+                f"{superposition.words(row)}: {' and '.join(names)} may be the path",
+                "write the name of the experiment with it",
+            )
+    trials = tuple(x[0] if x else own for x, own in zip(found, superposition.trials, strict=True))
+    return replace(superposition, trials=trials)
+
+
+def _path(protocol: Protocol, trial: str, before: str) -> list[str]:
+    """The trials that a name may mean."""
+    if trial in protocol.trials:
+        return [trial]
+    named = [i for i, x in enumerate(protocol.trials) if x.partition("/")[2] == trial]
+    exact = [i for i in named if _state(protocol, i) == before]
+    earlier = [i for i in named if _is_before(_state(protocol, i), before)]
+    return [protocol.trials[i] for i in exact or earlier]
+
+
+def _state(protocol: Protocol, trial: int) -> str:
+    return INTACT if protocol.state is None else protocol.state[trial]
+
+
+def _is_before(state: str, other: str) -> bool:
+    """Whether all that is cut in a state is cut in another one too."""
+    return {x.words for x in cuts_of(state)} <= {x.words for x in cuts_of(other)}

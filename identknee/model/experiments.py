@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.laxity.experiments import INTACT, Cut, Experiment, cuts_of
+from identknee.laxity.experiments import INTACT, LOAD_CELL, Cut, Experiment, cuts_of
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.effect import (
     OF,
@@ -24,7 +24,7 @@ from identknee.model.effects.effect import (
     with_fixed_amplitudes,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.model.nuisances import stored_effects
+from identknee.model.nuisances import load_cell, stored_effects
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
@@ -191,10 +191,13 @@ def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
 def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effect]:
     """Errors that a rig states for itself; they take the place of those of the subject."""
     for x in {x.rig: x for x in experiments if x.uncertainty}.values():
-        stated = knee.with_uncertainty(replace(knee.uncertainty, **x.uncertainty))
+        own = {k: size for k, size in x.uncertainty.items() if k not in LOAD_CELL}
+        stated = knee.with_uncertainty(replace(knee.uncertainty, **own))
         for effect in stored_effects(stated):
             if effect.name in OF_RIG:
                 yield scoped(effect, x.rig)
+        if any(cell := [x.uncertainty.get(part, 0.0) for part in LOAD_CELL]):
+            yield scoped(load_cell(*cell), x.rig)
 
 
 def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:

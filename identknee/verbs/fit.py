@@ -44,6 +44,7 @@ from identknee.checks.usable_trials import (
     TrialSelection,
     excluded_trial_findings,
     input_findings,
+    needs_weights,
     residuals_of,
     starts_elsewhere,
     table_model,
@@ -501,7 +502,7 @@ def fit(
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
-    elif measured.forces is not None and measured.sd is not None:
+    elif measured.has_forces and measured.sd is not None:
         # Forces and coordinates count together in units of their noise alone.
         weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
@@ -515,11 +516,15 @@ def fit(
     is_with_priors = has_priors("fit", priors)
     plain = partial(search, method=method, seed=seed, budget=budget, priors=is_with_priors)
     is_robust = likelihood == "student"
-    if is_robust and laxity.forces is not None:
+    if is_robust and laxity.has_forces:
         raise ValueRefused(
             "heavy tails are of coordinates alone", "leave out the columns of forces"
         )
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
+    if needs_weights(laxity) and found.outcome is not Outcome.START_FAILED:
+        trials = replace(trials, weighed_at=np.array(found.theta))
+        used, found = trials.fitted(found.theta, plain)
+        found = replace(found, start=theta)
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
     if more_starts and not is_robust and method == "least-squares":
@@ -602,7 +607,7 @@ def _findings(
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-        residuals = with_forces(weighted).residuals(found.theta)
+        residuals = with_forces(weighted, trials.weighed_at).residuals(found.theta)
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)

@@ -36,6 +36,7 @@ from identknee.checks.usable_trials import (
     defined_everywhere,
     excluded_trial_findings,
     experiment_sentences,
+    needs_weights,
     prediction_finding,
     starts_elsewhere,
     table_model,
@@ -245,23 +246,28 @@ def identification(
     blanks = blank_cell_findings(laxity)
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
-    if has_shared_errors(knee.uncertainty):
-        if residuals.weighting == "unit":
-            raise ValueError(
-                "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
-                "--noise, for example --noise 0.5mm,0.5deg"
-            )
-        first = fit(with_nuisance_priors(with_forces(residuals)), theta)
+    if has_shared_errors(knee.uncertainty) and residuals.weighting == "unit":
+        raise ValueError(
+            "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
+            "--noise, for example --noise 0.5mm,0.5deg"
+        )
+    weighed_at: Array | None = None
+    if has_shared_errors(knee.uncertainty) or needs_weights(laxity):
+        held = (fixed or ()) if needs_weights(laxity) else ()
+        first = fit(with_nuisance_priors(with_forces(residuals)), theta, fixed=held)
         if first.outcome is Outcome.START_FAILED:
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
             )
-        residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
-    part = restricted(with_bounds(with_forces(residuals), limits), fixed or (), theta)
+        weighed_at = np.array(first.theta)
+    if weighed_at is not None and has_shared_errors(knee.uncertainty):
+        residuals = replace(residuals, shared=shared_errors(residuals.model, weighed_at))
+    whole = with_forces(residuals, weighed_at)
+    part = restricted(with_bounds(whole, limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
-        searched = with_bounds(defined_everywhere(residuals), limits)
+        searched = with_bounds(defined_everywhere(residuals, weighed_at), limits)
         everywhere = with_its_priors(restricted(searched, fixed or (), theta))
     degrees: int | None = None
     sizes: Sizes = (None, None)

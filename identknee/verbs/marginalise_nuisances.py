@@ -57,7 +57,7 @@ def marginalise_nuisances(
             "stated errors can be marginalised only if the noise is stated; add --noise, for "
             "example --noise 0.5mm,0.5deg, or treat the geometry as exact with --uncertain none"
         )
-    if setup.laxity.forces is not None:
+    if setup.laxity.has_forces:
         raise ValueRefused(
             "stated errors are marginalised for coordinates, and the table has forces",
             "leave out the columns of forces, or use profile or sample, which keep the errors as "
