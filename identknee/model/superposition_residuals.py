@@ -41,6 +41,11 @@ class SuperpositionResiduals:
         Parameter vector at which the stiffness of structures, and the direction of forces of which
         only the size was measured, enter the covariance; the model's start if None. Where a trial
         has no equilibrium there, errors of its pose count as nothing.
+    whitening
+        The matrix that makes all errors independent with variance 1, shape ``(n, n)``, as another
+        problem has it; that at `weighed_at` if None.
+    offset
+        What is added to what the cell reads of each row, shape ``(rows, 6)``; nothing if None.
     is_everywhere
         Whether a trial without equilibrium leaves its forces out, as in a search that begins
         anywhere; all residuals are infinite otherwise.
@@ -54,10 +59,11 @@ class SuperpositionResiduals:
     model: LaxityModel
     superposition: Superposition
     weighed_at: Array | None = None
+    whitening: Array | None = None
+    offset: Array | None = None
     is_everywhere: bool = False
     _trials: tuple[int, ...] = field(init=False, repr=False)
     _offsets: Array = field(init=False, repr=False)
-    _whitening: Array = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -74,11 +80,12 @@ class SuperpositionResiduals:
                     f"{made.words(row)}: it was cut before this path was made",
                     "name the trial whose path was replayed",
                 )
-        theta = model.parameters.start if self.weighed_at is None else self.weighed_at
         object.__setattr__(self, "_trials", trials)
         object.__setattr__(self, "_offsets", _offset_slopes(model, trials))
-        whitening = _whitening(model, made, trials, np.asarray(theta, float).tobytes())
-        object.__setattr__(self, "_whitening", whitening)
+        if self.whitening is None:
+            theta = model.parameters.start if self.weighed_at is None else self.weighed_at
+            found = _whitening(model, made, trials, np.asarray(theta, float).tobytes())
+            object.__setattr__(self, "whitening", found)
 
     @property
     def parameters(self) -> Parameters:
@@ -92,7 +99,7 @@ class SuperpositionResiduals:
 
     def predicted(self, theta: Array) -> Array:
         """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
-        return _with_size(self._found(theta).values + self._offsets @ theta)
+        return _with_size(self._readings(theta))
 
     def residuals(self, theta: Array) -> Array:
         """Residuals, shape ``(n,)``; infinite where a trial has no equilibrium."""
@@ -101,16 +108,24 @@ class SuperpositionResiduals:
         lost = np.isnan(left)
         if lost.any() and not self.is_everywhere:
             return np.full(self.n, np.inf)
-        return np.asarray(self._whitening @ np.where(lost, 0.0, left))
+        return np.asarray(self.whitening @ np.where(lost, 0.0, left))
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
         found = self._found(theta)
         slopes = found.jacobian + self._offsets
-        direction = _directions(found.values + self._offsets @ theta)
+        direction = _directions(self._readings(theta))
         by_size = np.einsum("ri,rip->rp", direction, slopes[:, FORCE])
         rows = np.concatenate([slopes, by_size[:, None]], axis=1)[self.superposition.is_measured]
-        return np.asarray(self._whitening @ (np.nan_to_num(rows) if self.is_everywhere else rows))
+        return np.asarray(self.whitening @ (np.nan_to_num(rows) if self.is_everywhere else rows))
+
+    def offset_at(self, theta: Array) -> Array:
+        """What constant errors of the cells add to each row, shape ``(rows, 6)``."""
+        added = self._offsets @ theta
+        return np.asarray(added if self.offset is None else added + self.offset)
+
+    def _readings(self, theta: Array) -> Array:
+        return np.asarray(self._found(theta).values + self.offset_at(theta))
 
     def _found(self, theta: Array) -> StructureWrenches:
         prediction = self.model.predict_once(theta)
