@@ -23,7 +23,7 @@ from identknee.laxity.forces import SD
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table_file import CellFile, TableRow, written
 from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import array, declared, name_axis
+from identknee.runs.declare import array, declared, entry, name_axis
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.runs.files import PathLike, write_atomically
 
@@ -64,12 +64,10 @@ class Superposition:
         trial repeat each other.
     """
 
-    trials: tuple[str, ...] = array("Trial whose path was replayed", "row", is_in_arrays=False)
-    cut: tuple[str, ...] = array(
-        "Ligament, bundle or group that was cut in between", "row", is_in_arrays=False
-    )
-    before: tuple[str, ...] = array("State of the knee before", "row", is_in_arrays=False)
-    after: tuple[str, ...] = array("State of the knee after", "row", is_in_arrays=False)
+    trials: tuple[str, ...] = entry("Trial whose path was replayed, of each row")
+    cut: tuple[str, ...] = entry("Ligament, bundle or group that was cut in between, of each row")
+    before: tuple[str, ...] = entry("State of the knee before, of each row")
+    after: tuple[str, ...] = entry("State of the knee after, of each row")
     values: Array = array(
         "Components of the wrench of the structure, and the size of its force; NaN where not "
         "measured",

@@ -68,8 +68,8 @@ class ForceResiduals:
         """How many forces were measured."""
         return int(self.forces.is_measured.sum())
 
-    def residuals(self, theta: Array) -> Array:
-        """Residuals, shape ``(n,)``."""
+    def predicted(self, theta: Array) -> Array:
+        """The forces of all trials, shape ``(trials, forces)``; NaN without an equilibrium."""
         prediction = self.model.predict_once(theta)
         contact = contact_values(prediction)[:, :, 0]
         columns = [
@@ -78,8 +78,12 @@ class ForceResiduals:
             else structure_values(self.model, prediction, name.rpartition(".")[0])[0]
             for name, (kind, i) in zip(self.forces.names, self._places, strict=True)
         ]
+        return np.stack(columns, axis=1)
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals, shape ``(n,)``."""
         measured = self.forces.is_measured
-        left = (np.stack(columns, axis=1) - self.forces.values)[measured] / self._sd
+        left = (self.predicted(theta) - self.forces.values)[measured] / self._sd
         return np.where(np.isnan(left), 0.0 if self.is_everywhere else np.inf, left)
 
     def jacobian(self, theta: Array) -> Array:

@@ -101,6 +101,14 @@ class SuperpositionResiduals:
         """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
         return _with_size(self._readings(theta))
 
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of each value, errors of the pose included, shape ``(rows, 7)``."""
+        whitening = np.asarray(self.whitening)
+        spread = np.full(self.superposition.values.shape, np.nan)
+        spread[self.superposition.is_measured] = np.linalg.norm(np.linalg.inv(whitening), axis=1)
+        return spread
+
     def residuals(self, theta: Array) -> Array:
         """Residuals, shape ``(n,)``; infinite where a trial has no equilibrium."""
         made = self.superposition

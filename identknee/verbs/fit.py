@@ -26,6 +26,7 @@ from identknee.calibrate.problem import (
     typical_steps,
     with_all_priors,
 )
+from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.fit_checks import (
     APART,
     AS_GOOD,
@@ -359,6 +360,12 @@ class Calibration(SimulatedLaxity):
     optima: tuple[Optimum, ...] = entry(
         "Other ends that fit as well at the 95 % level", rows="optimum", group="optima", default=()
     )
+    compared_forces: ComparedForces | None = entry(
+        "Measured forces, and what the fit predicts of them",
+        group="compared_forces",
+        only="measured forces",
+        default=None,
+    )
     held_out: HeldOut | None = entry(
         "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None
     )
@@ -561,6 +568,9 @@ def fit(
         origin=_origin(fits[0], used.start),
         optima=_optima(model, fits, _scale(trials, used.laxity, found)),
         held_out=held,
+        compared_forces=None
+        if found.outcome is Outcome.START_FAILED
+        else compared_forces(problem, found.theta),
         evidence=evidence_terms(
             with_all_priors(problem) if is_with_priors else problem, found.theta
         ),
