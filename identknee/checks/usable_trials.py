@@ -98,8 +98,6 @@ class TrialSearch:
         As for `LaxityResiduals`.
     bounds, fixed
         As for `identknee.fit`.
-    weighed_at
-        As for `SuperpositionResiduals`.
     """
 
     model: LaxityModel
@@ -107,7 +105,6 @@ class TrialSearch:
     weighting: Weighting
     bounds: Mapping[str, tuple[float, float]]
     fixed: Sequence[str] = ()
-    weighed_at: Array | None = None
 
     def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
@@ -169,14 +166,12 @@ class TrialSearch:
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        whole = with_forces(residuals, self.weighed_at)
-        return with_nuisance_priors(with_bounds(whole, self.bounds))
+        return with_nuisance_priors(with_bounds(with_forces(residuals), self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
         """The same; a trial without equilibrium is held near its measured pose."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        whole = defined_everywhere(residuals, self.weighed_at)
-        return with_nuisance_priors(with_bounds(whole, self.bounds))
+        return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
 
     def stretched(self, start: Array, stretch: float) -> Array:
         """`start` with reference strains as the measured poses have them, kept to the bounds."""
@@ -247,53 +242,56 @@ def held_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
     return replace(residuals, held=held)
 
 
-def defined_everywhere(residuals: LaxityResiduals, weighed_at: Array | None = None) -> Problem:
+def defined_everywhere(residuals: LaxityResiduals) -> Problem:
     """The same with the measured forces of trials that have an equilibrium."""
-    return with_forces(held_everywhere(residuals), weighed_at)
+    return with_forces(held_everywhere(residuals))
 
 
-def with_forces(residuals: LaxityResiduals, weighed_at: Array | None = None) -> Problem:
+def with_forces(residuals: LaxityResiduals) -> Problem:
     """The residuals of a table, and those of the forces that were measured with it.
-
-    Parameters
-    ----------
-    residuals
-        Those of the table.
-    weighed_at
-        As for `SuperpositionResiduals`.
 
     Raises
     ------
     ValueError
         If there are forces, and the noise of the coordinates is not stated.
     """
-    laxity = residuals.laxity
-    forces, replayed = laxity.forces, laxity.superposition
-    has_forces = forces is not None and bool(forces.is_measured.any())
-    if not has_forces and replayed is None:
+    laxity, everywhere = residuals.laxity, residuals.held is not None
+    forces = force_terms(residuals.model, laxity, is_everywhere=everywhere)
+    if not forces:
         return residuals
     if residuals.weighting != "noise":
         raise ValueRefused(
             "measured forces count beside coordinates only where the noise of both is known",
             "state that of the coordinates with --noise, for example --noise 0.5mm,0.5deg",
         )
-    everywhere = residuals.held is not None
-    terms: dict[str, Problem] = {TABLE_TERM: residuals}
-    sizes = [int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)]
-    if forces is not None and has_forces:
-        of_trials = ForceResiduals(model=residuals.model, forces=forces, is_everywhere=everywhere)
-        terms[FORCE_TERM] = of_trials
-        sizes.append(of_trials.n)
-    if replayed is not None:
-        of_paths = SuperpositionResiduals(
-            model=residuals.model,
-            superposition=replayed,
-            weighed_at=weighed_at,
-            is_everywhere=everywhere,
+    n = int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)
+    return SumOfTerms(
+        terms={TABLE_TERM: residuals, **forces}, sizes=(n, *(x.n for x in forces.values()))
+    )
+
+
+def force_terms(
+    model: LaxityModel, laxity: Laxity, *, is_everywhere: bool = False
+) -> dict[str, ForceResiduals | SuperpositionResiduals]:
+    """The residuals of forces by the name of their term: of trials, and of replayed paths.
+
+    Parameters
+    ----------
+    model, laxity
+        The model of the data, and these.
+    is_everywhere
+        Whether a trial without equilibrium leaves its forces out.
+    """
+    found: dict[str, ForceResiduals | SuperpositionResiduals] = {}
+    if laxity.forces is not None and laxity.forces.is_measured.any():
+        found[FORCE_TERM] = ForceResiduals(
+            model=model, forces=laxity.forces, is_everywhere=is_everywhere
         )
-        terms[SUPERPOSITION_TERM] = of_paths
-        sizes.append(of_paths.n)
-    return SumOfTerms(terms=terms, sizes=tuple(sizes))
+    if laxity.superposition is not None:
+        found[SUPERPOSITION_TERM] = SuperpositionResiduals(
+            model=model, superposition=laxity.superposition, is_everywhere=is_everywhere
+        )
+    return found
 
 
 def needs_weights(laxity: Laxity) -> bool:

@@ -84,6 +84,12 @@ class Superposition:
         *("row", "2"),
         unit="mm, then deg",
     )
+    covariance: Array | None = entry(
+        "Covariance of all measured values, row by row, errors of the poses included, shape "
+        "``(values, values)``; None where those are not known yet",
+        is_in_json=False,
+        default=None,
+    )
 
     def __post_init__(self) -> None:
         for name in ("before", "after"):
@@ -142,6 +148,9 @@ class Superposition:
     def select(self, rows: Sequence[int] | BoolArray) -> "Superposition":
         """Some of the rows, by their places or a mask."""
         chosen = np.arange(self.n)[np.asarray(rows)].tolist()
+        row = np.nonzero(self.is_measured)[0]
+        kept = np.concatenate([np.flatnonzero(row == i) for i in chosen])
+        covariance = None if self.covariance is None else self.covariance[np.ix_(kept, kept)]
         return Superposition(
             trials=tuple(self.trials[i] for i in chosen),
             cut=tuple(self.cut[i] for i in chosen),
@@ -150,6 +159,7 @@ class Superposition:
             values=self.values[chosen],
             sd=self.sd[chosen],
             pose_sd=self.pose_sd[chosen],
+            covariance=covariance,
         )
 
     def of_trials(self, names: Iterable[str]) -> "Superposition | None":

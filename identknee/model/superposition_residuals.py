@@ -6,13 +6,14 @@ replayed. An error of the replayed pose changes it by the stiffness of the struc
 kept, so that residuals stay a function of the parameters with errors of known size.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from identknee.laxity.experiments import INTACT
 from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import OF
 from identknee.model.experiments import gone_in, members_of
 from identknee.model.laxity_model import LaxityModel
@@ -36,14 +37,7 @@ class SuperpositionResiduals:
     model
         The model under the protocol of the data.
     superposition
-        What was measured.
-    weighed_at
-        Parameter vector at which the stiffness of structures, and the direction of forces of which
-        only the size was measured, enter the covariance; the model's start if None. Where a trial
-        has no equilibrium there, errors of its pose count as nothing.
-    whitening
-        The matrix that makes all errors independent with variance 1, shape ``(n, n)``, as another
-        problem has it; that at `weighed_at` if None.
+        What was measured. Where it has no covariance yet, that at the model's start counts.
     offset
         What is added to what the cell reads of each row, shape ``(rows, 6)``; nothing if None.
     is_everywhere
@@ -58,12 +52,11 @@ class SuperpositionResiduals:
 
     model: LaxityModel
     superposition: Superposition
-    weighed_at: Array | None = None
-    whitening: Array | None = None
     offset: Array | None = None
     is_everywhere: bool = False
     _trials: tuple[int, ...] = field(init=False, repr=False)
     _offsets: Array = field(init=False, repr=False)
+    _whitening: Array = field(init=False, repr=False)
 
     __repr__ = short_repr
 
@@ -82,10 +75,10 @@ class SuperpositionResiduals:
                 )
         object.__setattr__(self, "_trials", trials)
         object.__setattr__(self, "_offsets", _offset_slopes(model, trials))
-        if self.whitening is None:
-            theta = model.parameters.start if self.weighed_at is None else self.weighed_at
-            found = _whitening(model, made, trials, np.asarray(theta, float).tobytes())
-            object.__setattr__(self, "whitening", found)
+        covariance = made.covariance
+        if covariance is None:
+            covariance = error_covariance(model, made, model.parameters.start)
+        object.__setattr__(self, "_whitening", np.linalg.inv(np.linalg.cholesky(covariance)))
 
     @property
     def parameters(self) -> Parameters:
@@ -104,9 +97,10 @@ class SuperpositionResiduals:
     @property
     def sd(self) -> Array:
         """Standard deviation of each value, errors of the pose included, shape ``(rows, 7)``."""
-        whitening = np.asarray(self.whitening)
         spread = np.full(self.superposition.values.shape, np.nan)
-        spread[self.superposition.is_measured] = np.linalg.norm(np.linalg.inv(whitening), axis=1)
+        spread[self.superposition.is_measured] = np.linalg.norm(
+            np.linalg.inv(self._whitening), axis=1
+        )
         return spread
 
     def residuals(self, theta: Array) -> Array:
@@ -116,7 +110,7 @@ class SuperpositionResiduals:
         lost = np.isnan(left)
         if lost.any() and not self.is_everywhere:
             return np.full(self.n, np.inf)
-        return np.asarray(self.whitening @ np.where(lost, 0.0, left))
+        return np.asarray(self._whitening @ np.where(lost, 0.0, left))
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
@@ -125,7 +119,7 @@ class SuperpositionResiduals:
         direction = _directions(self._readings(theta))
         by_size = np.einsum("ri,rip->rp", direction, slopes[:, FORCE])
         rows = np.concatenate([slopes, by_size[:, None]], axis=1)[self.superposition.is_measured]
-        return np.asarray(self.whitening @ (np.nan_to_num(rows) if self.is_everywhere else rows))
+        return np.asarray(self._whitening @ (np.nan_to_num(rows) if self.is_everywhere else rows))
 
     def offset_at(self, theta: Array) -> Array:
         """What constant errors of the cells add to each row, shape ``(rows, 6)``."""
@@ -174,11 +168,29 @@ def _directions(wrenches: Array) -> Array:
     return np.asarray(np.divide(forces, size, out=np.zeros(forces.shape), where=size > 0.0))
 
 
-@lru_cache(maxsize=8)
-def _whitening(
-    model: LaxityModel, made: Superposition, trials: tuple[int, ...], theta: bytes
-) -> Array:
-    """The matrix that makes all errors independent with variance 1, shape ``(n, n)``."""
+def weighed(laxity: Laxity, model: LaxityModel, theta: Array) -> Laxity:
+    """The data with the covariance of their in-situ forces, stiffnesses taken at `theta`."""
+    if (made := laxity.superposition) is None:
+        return laxity
+    covariance = error_covariance(model, made, theta)
+    return replace(laxity, superposition=replace(made, covariance=covariance))
+
+
+def error_covariance(model: LaxityModel, made: Superposition, theta: Array) -> Array:
+    """Covariance of the errors of all measured values, shape ``(n, n)``.
+
+    Parameters
+    ----------
+    model
+        The model under the protocol of the data.
+    made
+        What was measured.
+    theta
+        Where the stiffness of structures is taken, and the direction of forces of which only the
+        size was measured. Where a trial has no equilibrium there, errors of its pose count as
+        nothing.
+    """
+    trials = [model.protocol.trials.index(x) for x in made.trials]
     shares, replayed = made.shares(), made.pose_sd.any(axis=1)
     # What each value is of the three components of a force and of all six of a wrench.
     axes = np.zeros((made.n, N_COMPONENTS + 1, N_COMPONENTS))
@@ -186,7 +198,7 @@ def _whitening(
     moved = np.zeros((made.n, N_COMPONENTS, 6))
     has_sizes = made.is_measured[:, N_COMPONENTS].any()
     if replayed.any() or has_sizes:
-        found = structure_wrenches(model, model.predict(np.frombuffer(theta)), trials, made.cut)
+        found = structure_wrenches(model, model.predict(theta), trials, made.cut)
         axes[:, N_COMPONENTS, FORCE] = _directions(np.nan_to_num(found.values))
         errors = np.repeat([made.pose_sd[:, 0], np.radians(made.pose_sd[:, 1])], 3, axis=0).T
         moved = np.nan_to_num(found.by_twist) * errors[:, None]
@@ -200,9 +212,7 @@ def _whitening(
     pushed = np.einsum("ki,kij->kj", along, moved[row])
     one_pose = _same_run(made)[np.ix_(row, row)]
     covariance = noise + np.where(one_pose, pushed @ pushed.T, 0.0)
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-    whitening.flags.writeable = False
-    return np.asarray(whitening)
+    return np.asarray(covariance)
 
 
 def _same_run(made: Superposition) -> BoolArray:

@@ -77,6 +77,7 @@ from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import AT, TENSION
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import (
     OF_COORDINATE,
@@ -529,7 +530,8 @@ def fit(
         )
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
     if needs_weights(laxity) and found.outcome is not Outcome.START_FAILED:
-        trials = replace(trials, weighed_at=np.array(found.theta))
+        laxity = weighed(laxity, model, found.theta)
+        trials = replace(trials, laxity=laxity)
         used, found = trials.fitted(found.theta, plain)
         found = replace(found, start=theta)
     problem = trials.problem(used.laxity)
@@ -617,7 +619,7 @@ def _findings(
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-        residuals = with_forces(weighted, trials.weighed_at).residuals(found.theta)
+        residuals = with_forces(weighted).residuals(found.theta)
         misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)

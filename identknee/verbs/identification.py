@@ -55,6 +55,7 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
+from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
@@ -251,7 +252,6 @@ def identification(
             "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
             "--noise, for example --noise 0.5mm,0.5deg"
         )
-    weighed_at: Array | None = None
     if has_shared_errors(knee.uncertainty) or needs_weights(laxity):
         held = (fixed or ()) if needs_weights(laxity) else ()
         first = fit(with_nuisance_priors(with_forces(residuals)), theta, fixed=held)
@@ -259,15 +259,16 @@ def identification(
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
             )
-        weighed_at = np.array(first.theta)
-    if weighed_at is not None and has_shared_errors(knee.uncertainty):
-        residuals = replace(residuals, shared=shared_errors(residuals.model, weighed_at))
-    whole = with_forces(residuals, weighed_at)
-    part = restricted(with_bounds(whole, limits), fixed or (), theta)
+        laxity = weighed(laxity, residuals.model, first.theta)
+        shared = None
+        if has_shared_errors(knee.uncertainty):
+            shared = shared_errors(residuals.model, first.theta)
+        residuals = replace(residuals, laxity=laxity, shared=shared)
+    part = restricted(with_bounds(with_forces(residuals), limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
-        searched = with_bounds(defined_everywhere(residuals, weighed_at), limits)
+        searched = with_bounds(defined_everywhere(residuals), limits)
         everywhere = with_its_priors(restricted(searched, fixed or (), theta))
     degrees: int | None = None
     sizes: Sizes = (None, None)

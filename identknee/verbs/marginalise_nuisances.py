@@ -130,7 +130,7 @@ def _linearised_terms(setup: Identification, theta: Array) -> MarginalisedProble
             terms[name] = replace(term, model=model)
         elif isinstance(term, SuperpositionResiduals):
             offset = term.offset_at(theta)
-            terms[name] = replace(term, model=model, weighed_at=None, offset=offset)
+            terms[name] = replace(term, model=model, offset=offset)
     slopes = whole.jacobian(theta)[:, varied]
     return MarginalisedProblem(
         problem=SumOfTerms(terms=terms, sizes=whole.sizes),

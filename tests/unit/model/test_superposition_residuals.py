@@ -18,7 +18,7 @@ from identknee.laxity.superposition import Superposition
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.structure_wrenches import structure_wrenches
-from identknee.model.superposition_residuals import SuperpositionResiduals
+from identknee.model.superposition_residuals import SuperpositionResiduals, weighed
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 
@@ -125,6 +125,20 @@ def test_an_error_of_the_pose_counts_by_the_stiffness_of_what_was_cut() -> None:
     stiffness = slope * 1e3 * acl.stiffness_kN / slack_length
     force = np.linalg.norm(found[:3, :3], 2)
     assert np.sqrt(force - SD_N**2) == pytest.approx(0.3 * stiffness, rel=0.02)
+
+
+def test_what_is_weighed_once_keeps_its_covariance() -> None:
+    model = _model()
+    laxity = _laxity(model, _made(model, pose_sd=(0.3, 0.1)))
+    theta = model.parameters.vector({"ACL.stiffness_kN": 20.0})
+    made = weighed(laxity, model, theta).superposition
+    assert made is not None
+    problem = SuperpositionResiduals(model=model, superposition=made)
+    at_start = SuperpositionResiduals(model=model, superposition=replace(made, covariance=None))
+    # A stiffer ligament makes more of an error of the pose, also in what is left of the rows.
+    assert np.all(problem.sd[0, :3] > 1.1 * at_start.sd[0, :3])
+    left = SuperpositionResiduals(model=model, superposition=made.select([2, 0]))
+    np.testing.assert_allclose(left.sd, problem.sd[[2, 0]], rtol=1e-9)
 
 
 def test_the_errors_of_simulated_readings_have_this_covariance() -> None:
