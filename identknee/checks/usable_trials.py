@@ -13,6 +13,7 @@ import scipy
 from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
     FORCE_TERM,
+    SUPERPOSITION_TERM,
     TABLE_TERM,
     Problem,
     SumOfTerms,
@@ -31,6 +32,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
+from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
@@ -246,25 +248,56 @@ def defined_everywhere(residuals: LaxityResiduals) -> Problem:
 
 
 def with_forces(residuals: LaxityResiduals) -> Problem:
-    """The residuals of a table, and those of the forces that were measured in it.
+    """The residuals of a table, and those of the forces that were measured with it.
 
     Raises
     ------
     ValueError
         If there are forces, and the noise of the coordinates is not stated.
     """
-    laxity = residuals.laxity
-    if laxity.forces is None or not laxity.forces.is_measured.any():
+    laxity, everywhere = residuals.laxity, residuals.held is not None
+    forces = force_terms(residuals.model, laxity, is_everywhere=everywhere)
+    if not forces:
         return residuals
     if residuals.weighting != "noise":
         raise ValueRefused(
             "measured forces count beside coordinates only where the noise of both is known",
             "state that of the coordinates with --noise, for example --noise 0.5mm,0.5deg",
         )
-    everywhere = residuals.held is not None
-    forces = ForceResiduals(model=residuals.model, forces=laxity.forces, is_everywhere=everywhere)
     n = int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)
-    return SumOfTerms(terms={TABLE_TERM: residuals, FORCE_TERM: forces}, sizes=(n, forces.n))
+    return SumOfTerms(
+        terms={TABLE_TERM: residuals, **forces}, sizes=(n, *(x.n for x in forces.values()))
+    )
+
+
+def force_terms(
+    model: LaxityModel, laxity: Laxity, *, is_everywhere: bool = False
+) -> dict[str, ForceResiduals | SuperpositionResiduals]:
+    """The residuals of forces by the name of their term: of trials, and of replayed paths.
+
+    Parameters
+    ----------
+    model, laxity
+        The model of the data, and these.
+    is_everywhere
+        Whether a trial without equilibrium leaves its forces out.
+    """
+    found: dict[str, ForceResiduals | SuperpositionResiduals] = {}
+    if laxity.forces is not None and laxity.forces.is_measured.any():
+        found[FORCE_TERM] = ForceResiduals(
+            model=model, forces=laxity.forces, is_everywhere=is_everywhere
+        )
+    if laxity.superposition is not None:
+        found[SUPERPOSITION_TERM] = SuperpositionResiduals(
+            model=model, superposition=laxity.superposition, is_everywhere=is_everywhere
+        )
+    return found
+
+
+def needs_weights(laxity: Laxity) -> bool:
+    """Whether the covariance of in-situ forces depends on where stiffnesses are taken."""
+    made = laxity.superposition
+    return made is not None and bool(made.pose_sd.any() or made.is_measured[:, -1].any())
 
 
 def residuals_of(problem: Problem) -> LaxityResiduals:

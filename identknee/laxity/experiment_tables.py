@@ -10,10 +10,17 @@ import numpy as np
 from pydantic import Field
 
 from identknee.laxity.data_frame import Frame
-from identknee.laxity.experiments import INTACT, Experiment, cuts_of, state_words
+from identknee.laxity.experiments import INTACT, LOAD_CELL, Experiment, cuts_of, state_words
 from identknee.laxity.forces import joined_forces
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.superposition import (
+    Superposition,
+    check_paths,
+    joined_superpositions,
+    read_superposition,
+    with_named_paths,
+)
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, ValueRefused
@@ -32,7 +39,9 @@ class ExperimentTable(Part):
     """An ``[[experiments]]``."""
 
     name: Text
-    table: Text
+    table: Text | None = None
+    superposition: Text | None = None
+    reads: Text | None = None
     rig: Text = RIG
     remounted: Annotated[bool, custom_message("{} is no truth value", "Write true or false.")] = (
         False
@@ -63,7 +72,8 @@ def read_experiments(given: LaxityLike | Sequence[LaxityLike]) -> Laxity:
 
     Several tables are experiments named after their files, made by one rig in one mounting. An
     ``experiments.toml`` says more: of each experiment its ``table``, ``rig``, ``state`` and whether
-    the knee was ``remounted``; of each rig its ``noise`` and ``uncertainty``.
+    the knee was ``remounted``, or its table of in-situ forces (``superposition``, ``reads``); of
+    each rig its ``noise`` and ``uncertainty``.
 
     Raises
     ------
@@ -98,6 +108,7 @@ def is_experiments(path: Path) -> bool:
 
 def _of_file(path: Path) -> Laxity:
     stated = validated(ExperimentsFile, read_toml(path, LARGEST_MB), lambda x: _error(path, x))
+    _check_kinds(path, stated.experiments)
     known = {x.rig for x in stated.experiments}
     for name, rig in stated.rigs.items():
         place = f"[rigs.{name}]"
@@ -105,14 +116,17 @@ def _of_file(path: Path) -> Laxity:
             why = "no experiment was made with this rig"
             raise InputError(path, place, why, f"Rigs of the experiments: {', '.join(known)}.")
         for part in rig.uncertainty:
-            if part not in OF_RIG:
+            if part not in (*OF_RIG, *LOAD_CELL):
                 why = f"{part} does not belong to a rig"
-                remedy = f"Known are {', '.join(OF_RIG)}; state the others with the subject."
+                known_parts = ", ".join((*OF_RIG, *LOAD_CELL))
+                remedy = f"Known are {known_parts}; state the others with the subject."
                 raise InputError(path, f"{place} uncertainty", why, remedy)
     mounted: dict[str, int] = {}
     tables = []
     for i, x in enumerate(stated.experiments, 1):
         place = f"[[experiments]] block {i}"
+        if x.table is None:
+            continue
         if x.remounted or x.rig not in mounted:
             mounted[x.rig] = mounted.get(x.rig, 0) + 1
         rig = stated.rigs.get(x.rig, RigTable())
@@ -128,9 +142,55 @@ def _of_file(path: Path) -> Laxity:
         except ValueRefused as error:
             raise InputError(path, place, error.why, error.advice) from None
     try:
-        return joined(tables)
+        whole = joined(tables)
     except ValueRefused as error:
         raise InputError(path, "", error.why, error.advice) from None
+    parts = []
+    for i, x in enumerate(stated.experiments, 1):
+        if x.superposition is None:
+            continue
+        try:
+            found = read_superposition(path.parent / x.superposition, x.reads or "")
+            parts.append(_of_rig(with_named_paths(found, whole.protocol), whole.protocol, x.rig))
+            whole = replace(whole, superposition=joined_superpositions(parts))
+        except ValueRefused as error:
+            place = f"[[experiments]] block {i}"
+            raise InputError(path, place, error.why, error.advice) from None
+    return whole
+
+
+def _check_kinds(path: Path, experiments: Sequence[ExperimentTable]) -> None:
+    """Refuse experiments that have no table, or two, and what belongs to another kind."""
+    for i, x in enumerate(experiments, 1):
+        why = remedy = ""
+        if (x.table is None) == (x.superposition is None):
+            why = "an experiment has a table or a superposition, one of both"
+            remedy = 'Write table = "FILE.csv" or superposition = "FILE.csv".'
+        elif x.table is not None and x.reads is not None:
+            why, remedy = "what a cell reads belongs to a superposition", "Remove reads."
+        elif x.superposition is not None and (x.remounted or x.state != INTACT):
+            why = "a superposition has the states of its rows, and is made where the path was"
+            remedy = "Remove state and remounted."
+        if why:
+            raise InputError(path, f"[[experiments]] block {i}", why, remedy)
+    if all(x.table is None for x in experiments):
+        why = "no experiment has a table with the paths that were replayed"
+        raise InputError(path, "", why, 'Add one with table = "FILE.csv".')
+
+
+def _of_rig(superposition: Superposition, protocol: Protocol, rig: str) -> Superposition:
+    """The in-situ forces, refused where the path of one was made in another rig."""
+    check_paths(superposition, protocol)
+    rigs = {x.name: x.rig for x in protocol.experiments}
+    of = dict(zip(protocol.trials, protocol.experiment or (), strict=True))
+    for row, trial in enumerate(superposition.trials):
+        if (own := rigs[of[trial]]) != rig:
+            raise ValueRefused(
+                f"{superposition.words(row)}: the path was made in the rig {own}, and is said to "
+                f"be replayed in {rig}",
+                f"write rig = {own!r}",
+            )
+    return superposition
 
 
 def _error(path: Path, fault: Fault) -> InputError:
@@ -200,8 +260,9 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
             "state that of all, in columns sd_ or as the noise of a rig",
         )
     has_phase = any(x.phase is not None for x in laxities)
+    protocol = _joined_protocol(experiments, [x.protocol for x in laxities])
     return Laxity(
-        protocol=_joined_protocol(experiments, [x.protocol for x in laxities]),
+        protocol=protocol,
         coordinates=np.concatenate([x.coordinates for x in laxities]),
         sd=None if without else np.concatenate([_sd(x) for x in laxities]),
         within_trial_correlation=correlation,
@@ -209,8 +270,21 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
         comments=tuple(dict.fromkeys(c for x in laxities for c in x.comments)),
         zero=zero,
         forces=joined_forces([x.forces for x in laxities], [x.n for x in laxities]),
+        superposition=_joined_superposition(laxities, protocol),
         findings=tuple(f for x in laxities for f in x.findings),
     )
+
+
+def _joined_superposition(laxities: Sequence[Laxity], protocol: Protocol) -> Superposition | None:
+    """The in-situ forces of all tables, under the names that their trials have in the whole."""
+    names, parts = list(protocol.trials), []
+    for x in laxities:
+        whole = dict(zip(x.protocol.trials, names[: x.n], strict=True))
+        names = names[x.n :]
+        if x.superposition is not None:
+            trials = tuple(whole[name] for name in x.superposition.trials)
+            parts.append(replace(x.superposition, trials=trials))
+    return joined_superpositions(parts)
 
 
 def _joined_protocol(experiments: Sequence[Experiment], protocols: Sequence[Protocol]) -> Protocol:

@@ -7,6 +7,9 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
 
 INTACT, CUT = "intact", "cut:"
+# Constant error of the forces and of the moments of a rig's load cell [N, N m].
+LOAD_CELL = ("load_cell_N", "load_cell_Nm")
+LARGEST_OFFSET = (1000.0, 100.0)
 _LIGAMENT = re.compile(r"(?P<ligament>[^,%]+?)(?:\s+(?P<percent>[0-9.]+)\s*%)?")
 _NAME = re.compile(r"[\w-]([\w -]*[\w-])?")
 _STATE = re.compile(r"cut\s*:(?P<first>.+)|(?P<last>.+?)[\s-]+(cut|deficient)", re.IGNORECASE)
@@ -43,7 +46,8 @@ class Experiment:
     )
     uncertainty: Mapping[str, float] = entry(
         "What the rig states to be uncertain, by part of `identknee.subject.knee.Uncertainty`; the "
-        "subject's sizes hold for the others",
+        "subject's sizes hold for the others. Also the constant error of its load cell, "
+        "`load_cell_N` and `load_cell_Nm`",
         default_factory=dict,
     )
 
@@ -53,6 +57,12 @@ class Experiment:
                 raise ValueRefused(
                     f"{name!r} is no name of an experiment, a rig or a mounting",
                     "use letters, digits, -, _ and spaces",
+                )
+        for part, most in zip(LOAD_CELL, LARGEST_OFFSET, strict=True):
+            if not 0.0 <= (value := self.uncertainty.get(part, 0.0)) <= most:
+                raise ValueRefused(
+                    f"the uncertainty {part} of the rig {self.rig} is {value:g}",
+                    f"give a standard deviation of 0 to {most:g}",
                 )
 
 

@@ -12,6 +12,8 @@ from identknee.runs.declare import array, declared
 
 _COLUMN = re.compile(r"(?P<ligament>.+)_tension_N|contact_(?P<side>medial|lateral)_N")
 SD = "sd_"
+# A load cell reads a slack ligament as a little more or less than 0; no noise goes beyond this.
+MOST_BELOW_ZERO = 4.0
 
 
 @declared
@@ -21,7 +23,7 @@ class MeasuredForces:
     Raises
     ------
     ValueError
-        If a force has no standard deviation above 0, or is negative.
+        If a force has no standard deviation above 0, or is further below zero than noise explains.
     """
 
     names: tuple[str, ...] = array(
@@ -35,8 +37,11 @@ class MeasuredForces:
         sd = self.sd[measured]
         if not (np.isfinite(sd).all() and (sd > 0.0).all()):
             raise ValueError("every measured force needs a standard deviation greater than 0")
-        if np.any(self.values[measured] < 0.0):
-            raise ValueError("a measured force is negative: give how hard a structure pulls [N]")
+        if np.any(is_beyond_noise(self.values[measured], sd)):
+            raise ValueError(
+                f"a measured force is more than {MOST_BELOW_ZERO:g} standard deviations below 0: "
+                "give how hard a structure pulls or presses [N]"
+            )
 
     @property
     def is_measured(self) -> BoolArray:
@@ -51,6 +56,17 @@ class MeasuredForces:
     def without(self, lost: BoolArray) -> "MeasuredForces":
         """Those with the trials `lost` (n,) blank."""
         return replace(self, values=np.where(lost[:, None], np.nan, self.values))
+
+
+def is_beyond_noise(value: ArrayLike, sd: ArrayLike) -> BoolArray:
+    """Whether a force is so far below zero that noise of that size does not explain it.
+
+    Examples
+    --------
+    >>> is_beyond_noise([-3.0, -30.0], 5.0).tolist()
+    [False, True]
+    """
+    return np.asarray(np.asarray(value) < -MOST_BELOW_ZERO * np.asarray(sd))
 
 
 def quantity_of(column: str) -> str:

@@ -17,6 +17,7 @@ from identknee.laxity.forces import (
     MeasuredForces,
     column_of,
     force_columns,
+    is_beyond_noise,
     quantity_of,
 )
 from identknee.laxity.named_tables import TABLES, laxity_file
@@ -36,6 +37,7 @@ from identknee.laxity.protocol import (
     zero_fault,
 )
 from identknee.laxity.storage import SUFFIXES
+from identknee.laxity.superposition import Superposition, check_paths
 from identknee.laxity.table_file import (
     STATEMENT,
     TIME,
@@ -149,6 +151,11 @@ class Laxity:
         group="measured_forces",
         default=None,
     )
+    superposition: Superposition | None = entry(
+        "In-situ forces of structures that were cut, from replayed paths; None without any",
+        group="superposition",
+        default=None,
+    )
     findings: tuple[Finding, ...] = entry(
         "Findings: what reading a file did to its numbers; answers have them among their own",
         is_in_json=False,
@@ -172,6 +179,8 @@ class Laxity:
                 raise ValueError(f"a comment is one line and states no setting, got {line!r}")
         if fault := zero_fault(self.zero, self.protocol, self.coordinates):
             raise ValueError(". ".join(fault))
+        if self.superposition is not None:
+            check_paths(self.superposition, self.protocol)
 
     @property
     def n(self) -> int:
@@ -185,9 +194,19 @@ class Laxity:
 
     @property
     def n_values(self) -> int:
-        """How many coordinates and forces were measured."""
+        """How many coordinates and forces, also in-situ forces, were measured."""
         n = 0 if self.forces is None else int(self.forces.is_measured.sum())
-        return int(self.is_measured.sum()) + n
+        m = 0 if self.superposition is None else self.superposition.n_values
+        return int(self.is_measured.sum()) + n + m
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether forces were measured: in trials, or from replayed paths."""
+        return self.forces is not None or self.superposition is not None
+
+    def without_forces(self) -> "Laxity":
+        """The coordinates alone."""
+        return replace(self, forces=None, superposition=None) if self.has_forces else self
 
     def without(self, lost: BoolArray) -> "Laxity":
         """The same with the trials `lost` (n,) blank."""
@@ -197,6 +216,7 @@ class Laxity:
             self,
             coordinates=np.where(lost[:, None], np.nan, self.coordinates),
             forces=None if self.forces is None else self.forces.without(lost),
+            superposition=self._superposition_of(np.flatnonzero(~lost)),
         )
 
     def select(self, indices: ArrayLike) -> "Laxity":
@@ -218,8 +238,15 @@ class Laxity:
             comments=self.comments,
             zero=self.zero,
             forces=None if self.forces is None else self.forces.select(chosen),
+            superposition=self._superposition_of(chosen),
             findings=self.findings,
         )
+
+    def _superposition_of(self, trials: ArrayLike) -> Superposition | None:
+        """The in-situ forces of the trials at these places."""
+        if self.superposition is None:
+            return None
+        return self.superposition.of_trials(self.protocol.trials[i] for i in np.asarray(trials))
 
 
 def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
@@ -309,7 +336,8 @@ def write_laxity(
 ) -> Path:
     """Path of a CSV file that now holds `laxity`, and that `read_laxity` reads back equal.
 
-    Numbers are the shortest that read back bit for bit; the protocol's name is not written.
+    Numbers are the shortest that read back bit for bit; the protocol's name is not written. In-situ
+    forces of replayed paths have a table of their own, which `write_superposition` writes.
 
     Parameters
     ----------
@@ -436,13 +464,14 @@ def _forces(row: TableRow, columns: Sequence[str]) -> tuple[list[float], list[fl
     for column in columns:
         value = row.number(column, "this force was not measured")
         spread = row.number(f"{SD}{column}", "its force is blank too")
-        if value is not None and value < 0.0:
-            row.refuse(
-                column, f"the force is {value:g} N", "Give how hard it pulls or presses, 0 or more."
-            )
         if value is not None and not (spread is not None and spread > 0.0):
             why = f"{column} is measured and has no standard deviation greater than 0"
             row.refuse(f"{SD}{column}", why, "Give it in N.")
+        if value is not None and is_beyond_noise(value, spread or 0.0):
+            why = (
+                f"the force is {value:g} N, further below 0 than its noise of {spread:g} N explains"
+            )
+            row.refuse(column, why, "Give how hard it pulls or presses.")
         values.append(math.nan if value is None else value)
         spreads.append(math.nan if spread is None else spread)
     return values, spreads

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.laxity.experiments import INTACT, Cut, Experiment, cuts_of
+from identknee.laxity.experiments import INTACT, LOAD_CELL, Cut, Experiment, cuts_of
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.effect import (
     OF,
@@ -24,7 +24,7 @@ from identknee.model.effects.effect import (
     with_fixed_amplitudes,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.model.nuisances import stored_effects
+from identknee.model.nuisances import load_cell, stored_effects
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
@@ -110,8 +110,7 @@ def cut(knee: Knee, what: Cut) -> InputsChange:
 
     A partial cut has that fraction as a nuisance between 0 and 1.
     """
-    groups = {x.name: x.members for x in knee.groups}
-    members = groups.get(what.ligament, (what.ligament,))
+    members = members_of(knee, what.ligament)
     owners = np.array([i for i, x in enumerate(knee.ligaments) if x.name in members])
     name = f"{_scope(what)}{OF}{CUT}"
     sd = [PARTIAL_CUT_SD] if what.is_partial else []
@@ -134,6 +133,17 @@ def _without(owners: IntArray, setting: MechanicsInputs, values: Array) -> Mecha
     return replace(setting, stiffness=left * setting.stiffness, share=left * setting.share)
 
 
+def members_of(knee: Knee, name: str) -> frozenset[str]:
+    """The bundles of a group, or the ligament of that name itself."""
+    return frozenset(next((x.members for x in knee.groups if x.name == name), (name,)))
+
+
+def gone_in(knee: Knee, state: str) -> frozenset[str]:
+    """The ligaments and bundles that are cut through in a state."""
+    gone = (members_of(knee, x.ligament) for x in cuts_of(state) if not x.is_partial)
+    return frozenset().union(*gone)
+
+
 def check_states(knee: Knee, protocol: Protocol) -> None:
     """Refuse states that name no ligament of the knee, or leave it none.
 
@@ -142,19 +152,16 @@ def check_states(knee: Knee, protocol: Protocol) -> None:
     ValueError
         Naming the first such state.
     """
-    groups = {x.name: set(x.members) for x in knee.groups}
+    groups = [x.name for x in knee.groups]
     names = {x.name for x in knee.ligaments}
     for state in dict.fromkeys(protocol.state or ()):
-        gone: set[str] = set()
         for x in cuts_of(state):
-            members = groups.get(x.ligament, {x.ligament})
-            if not members <= names:
+            if not members_of(knee, x.ligament) <= names:
                 raise ValueRefused(
                     f"the state {state!r} cuts {x.ligament}, and {knee.name} has no such ligament",
                     f"name one of {', '.join([*groups, *sorted(names)][:12])}",
                 )
-            gone |= set() if x.is_partial else members
-        if gone == names:
+        if gone_in(knee, state) == names:
             raise ValueRefused(
                 f"the state {state!r} cuts every ligament of {knee.name}",
                 "leave out its trials: nothing holds such a knee",
@@ -197,10 +204,13 @@ def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
 def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effect]:
     """Errors that a rig states for itself; they take the place of those of the subject."""
     for x in {x.rig: x for x in experiments if x.uncertainty}.values():
-        stated = knee.with_uncertainty(replace(knee.uncertainty, **x.uncertainty))
+        own = {k: size for k, size in x.uncertainty.items() if k not in LOAD_CELL}
+        stated = knee.with_uncertainty(replace(knee.uncertainty, **own))
         for effect in stored_effects(stated):
             if effect.name in OF_RIG:
                 yield scoped(effect, x.rig)
+        if any(cell := [x.uncertainty.get(part, 0.0) for part in LOAD_CELL]):
+            yield scoped(load_cell(*cell), x.rig)
 
 
 def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:

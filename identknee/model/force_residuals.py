@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identknee.laxity.experiments import cuts_of
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.forces import MeasuredForces
 from identknee.model.contact_loads import contact_jacobian, contact_values
+from identknee.model.experiments import gone_in, members_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_values
 from identknee.model.parameters import Parameters
@@ -47,8 +48,8 @@ class ForceResiduals:
         protocol, forces = self.model.protocol, self.forces
         for trial, k in np.argwhere(forces.is_measured).tolist():
             owner = forces.names[k].rpartition(".")[0]
-            cuts = cuts_of("" if protocol.state is None else protocol.state[trial])
-            if any(x.ligament == owner and not x.is_partial for x in cuts):
+            state = INTACT if protocol.state is None else protocol.state[trial]
+            if members_of(self.model.knee, owner) <= gone_in(self.model.knee, state):
                 raise ValueRefused(
                     f"the table has the force of {owner} in {protocol.trials[trial]}, where it is "
                     "cut",
@@ -67,8 +68,8 @@ class ForceResiduals:
         """How many forces were measured."""
         return int(self.forces.is_measured.sum())
 
-    def residuals(self, theta: Array) -> Array:
-        """Residuals, shape ``(n,)``."""
+    def predicted(self, theta: Array) -> Array:
+        """The forces of all trials, shape ``(trials, forces)``; NaN without an equilibrium."""
         prediction = self.model.predict_once(theta)
         contact = contact_values(prediction)[:, :, 0]
         columns = [
@@ -77,8 +78,12 @@ class ForceResiduals:
             else structure_values(self.model, prediction, name.rpartition(".")[0])[0]
             for name, (kind, i) in zip(self.forces.names, self._places, strict=True)
         ]
+        return np.stack(columns, axis=1)
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals, shape ``(n,)``."""
         measured = self.forces.is_measured
-        left = (np.stack(columns, axis=1) - self.forces.values)[measured] / self._sd
+        left = (self.predicted(theta) - self.forces.values)[measured] / self._sd
         return np.where(np.isnan(left), 0.0 if self.is_everywhere else np.inf, left)
 
     def jacobian(self, theta: Array) -> Array:

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from identknee.laxity.superposition import WRENCH
 from identknee.laxity.table import COORDINATES
 from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
@@ -32,6 +33,7 @@ from identknee.subject.knee import BONES, Knee
 
 # Standard deviations within which an amplitude lies.
 REACH = 4.0
+CELL = "load_cell"
 KINDS = ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
 MOMENTS, FORCES = [VARUS, INTERNAL], [X, Y, Z]
 
@@ -47,6 +49,26 @@ def load_gain(sd: float) -> LoadError:
     """A wrong scale of each kind of load [-]."""
     made = amplitudes("load_gain", KINDS, 5 * [sd], upper=5 * [REACH * sd])
     return LoadError(name="load_gain", parameters=made.as_nuisances(), acted=_scaled)
+
+
+def load_cell(sd_N: float, sd_Nm: float) -> ReadingError:
+    """A constant error of what a load cell reads in superposition, along tibial axes [N, N m].
+
+    It is what drift between two runs and the compensation of gravity leave; coordinates have none.
+    """
+    sds = [sd_N] * 3 + [sd_Nm] * 3
+    used = [i for i, sd in enumerate(sds) if sd > 0.0]
+    made = amplitudes(
+        CELL,
+        [WRENCH[i] for i in used],
+        [sds[i] for i in used],
+        upper=[REACH * sds[i] for i in used],
+    )
+    return ReadingError(name=CELL, parameters=made.as_nuisances(), read=_unchanged)
+
+
+def _unchanged(coordinates: Array, _values: Array, _tests: TrialRecord) -> Array:
+    return coordinates
 
 
 def flexion(sd_deg: float) -> InputsChange:

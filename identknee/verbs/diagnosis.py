@@ -604,7 +604,7 @@ def diagnose_data(
     **_: Unpack[DataOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
-    laxity = replace(with_noise(data, noise), forces=None)
+    laxity = with_noise(data, noise).without_forces()
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
@@ -674,9 +674,11 @@ def diagnose_data(
 
 
 def _force_findings(data: Laxity) -> tuple[Finding, ...]:
-    if data.forces is None:
+    if not data.has_forces:
         return ()
-    names = data.forces.names
+    names = () if data.forces is None else data.forces.names
+    if data.superposition is not None:
+        names = (*names, *dict.fromkeys(f"in-situ force of {x}" for x in data.superposition.cut))
     return (finding("forces-not-used", "data", {"forces": ", ".join(names)}),)
 
 

@@ -26,6 +26,7 @@ from identknee.calibrate.problem import (
     typical_steps,
     with_all_priors,
 )
+from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.fit_checks import (
     APART,
     AS_GOOD,
@@ -44,6 +45,7 @@ from identknee.checks.usable_trials import (
     TrialSelection,
     excluded_trial_findings,
     input_findings,
+    needs_weights,
     residuals_of,
     starts_elsewhere,
     table_model,
@@ -75,6 +77,7 @@ from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import AT, TENSION
 from identknee.model.residuals import LaxityResiduals
+from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import (
     OF_COORDINATE,
@@ -358,6 +361,12 @@ class Calibration(SimulatedLaxity):
     optima: tuple[Optimum, ...] = entry(
         "Other ends that fit as well at the 95 % level", rows="optimum", group="optima", default=()
     )
+    compared_forces: ComparedForces | None = entry(
+        "Measured forces, and what the fit predicts of them",
+        group="compared_forces",
+        only="measured forces",
+        default=None,
+    )
     held_out: HeldOut | None = entry(
         "Trials kept from the fit, and what it predicts of them", only="`--hold-out`", default=None
     )
@@ -501,7 +510,7 @@ def fit(
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
-    elif measured.forces is not None and measured.sd is not None:
+    elif measured.has_forces and measured.sd is not None:
         # Forces and coordinates count together in units of their noise alone.
         weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
@@ -515,11 +524,16 @@ def fit(
     is_with_priors = has_priors("fit", priors)
     plain = partial(search, method=method, seed=seed, budget=budget, priors=is_with_priors)
     is_robust = likelihood == "student"
-    if is_robust and laxity.forces is not None:
+    if is_robust and laxity.has_forces:
         raise ValueRefused(
             "heavy tails are of coordinates alone", "leave out the columns of forces"
         )
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
+    if needs_weights(laxity) and found.outcome is not Outcome.START_FAILED:
+        laxity = weighed(laxity, model, found.theta)
+        trials = replace(trials, laxity=laxity)
+        used, found = trials.fitted(found.theta, plain)
+        found = replace(found, start=theta)
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
     if more_starts and not is_robust and method == "least-squares":
@@ -556,6 +570,9 @@ def fit(
         origin=_origin(fits[0], used.start),
         optima=_optima(model, fits, _scale(trials, used.laxity, found)),
         held_out=held,
+        compared_forces=None
+        if found.outcome is Outcome.START_FAILED
+        else compared_forces(problem, found.theta),
         evidence=evidence_terms(
             with_all_priors(problem) if is_with_priors else problem, found.theta
         ),

@@ -36,6 +36,7 @@ from identknee.checks.usable_trials import (
     defined_everywhere,
     excluded_trial_findings,
     experiment_sentences,
+    needs_weights,
     prediction_finding,
     starts_elsewhere,
     table_model,
@@ -54,6 +55,7 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
+from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
@@ -245,18 +247,23 @@ def identification(
     blanks = blank_cell_findings(laxity)
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
-    if has_shared_errors(knee.uncertainty):
-        if residuals.weighting == "unit":
-            raise ValueError(
-                "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
-                "--noise, for example --noise 0.5mm,0.5deg"
-            )
-        first = fit(with_nuisance_priors(with_forces(residuals)), theta)
+    if has_shared_errors(knee.uncertainty) and residuals.weighting == "unit":
+        raise ValueError(
+            "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
+            "--noise, for example --noise 0.5mm,0.5deg"
+        )
+    if has_shared_errors(knee.uncertainty) or needs_weights(laxity):
+        held = (fixed or ()) if needs_weights(laxity) else ()
+        first = fit(with_nuisance_priors(with_forces(residuals)), theta, fixed=held)
         if first.outcome is Outcome.START_FAILED:
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
             )
-        residuals = replace(residuals, shared=shared_errors(residuals.model, first.theta))
+        laxity = weighed(laxity, residuals.model, first.theta)
+        shared = None
+        if has_shared_errors(knee.uncertainty):
+            shared = shared_errors(residuals.model, first.theta)
+        residuals = replace(residuals, laxity=laxity, shared=shared)
     part = restricted(with_bounds(with_forces(residuals), limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)

@@ -1,16 +1,29 @@
 """Stated errors of geometry and tests, marginalised to first order instead of fitted."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from identknee.calibrate.fit import Fit
-from identknee.calibrate.problem import BoundedProblem, restricted, with_priors_of
+from identknee.calibrate.problem import (
+    TABLE_TERM,
+    BoundedProblem,
+    MarginalisedProblem,
+    Problem,
+    SumOfTerms,
+    innermost,
+    restricted,
+    with_priors_of,
+)
+from identknee.checks.usable_trials import residuals_of
 from identknee.model.effects.effect import with_fixed_amplitudes
+from identknee.model.force_residuals import ForceResiduals
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
+from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array
-from identknee.runs.errors import ValueRefused
 from identknee.runs.executors import Executor
 from identknee.verbs.identification import Identification, best_fits
 
@@ -57,12 +70,6 @@ def marginalise_nuisances(
             "stated errors can be marginalised only if the noise is stated; add --noise, for "
             "example --noise 0.5mm,0.5deg, or treat the geometry as exact with --uncertain none"
         )
-    if setup.laxity.forces is not None:
-        raise ValueRefused(
-            "stated errors are marginalised for coordinates, and the table has forces",
-            "leave out the columns of forces, or use profile or sample, which keep the errors as "
-            "parameters",
-        )
     fits = best_fits(setup, seed=seed, executor=executor)
     return _about(setup, fits[0].theta), fits
 
@@ -70,15 +77,15 @@ def marginalise_nuisances(
 def _about(setup: Identification, best: Array) -> Identification:
     """The problem of the parameters of interest, nuisances marginalised at a best fit."""
     theta, everything = setup.free.expand(best), setup.free.everything
-    residuals = _linearised_residuals(setup, theta)
+    linear = (_linearised_terms if setup.laxity.has_forces else _linearised_residuals)(setup, theta)
     asked, nuisances = setup.problem.parameters.names_of_interest, everything.nuisance_names
     kept = everything.with_fixed(nuisances, theta)
-    bounded = BoundedProblem(problem=residuals, parameters=kept.parameters)
+    bounded = BoundedProblem(problem=linear, parameters=kept.parameters)
     fixed = [name for name in kept.parameters.names if name not in asked]
     free = everything.with_fixed([*fixed, *nuisances], theta)
     sentence = (
         f"{setup.problem.parameters.n - len(asked)} stated errors were marginalised to first "
-        f"order at the best fit, which predictions use. {_nonlinearity(setup, residuals, theta)}"
+        f"order at the best fit, which predictions use. {_nonlinearity(setup, linear, theta)}"
     )
     problem = with_priors_of(restricted(bounded, fixed, kept.restrict(theta)), setup.problem)
     return replace(
@@ -110,6 +117,35 @@ def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResidual
     )
 
 
+def _linearised_terms(setup: Identification, theta: Array) -> MarginalisedProblem:
+    """The same of a table with forces, which have errors in common with the coordinates."""
+    everything, whole = setup.free.everything, _terms(setup)
+    varied = ~everything.is_of_interest
+    table = residuals_of(whole)
+    table = replace(table, model=_with_fixed_nuisances(setup.model, theta))
+    model = table.model
+    terms: dict[str, Problem] = {TABLE_TERM: table}
+    for name, term in whole.terms.items():
+        if isinstance(term, ForceResiduals):
+            terms[name] = replace(term, model=model)
+        elif isinstance(term, SuperpositionResiduals):
+            offset = term.offset_at(theta)
+            terms[name] = replace(term, model=model, offset=offset)
+    slopes = whole.jacobian(theta)[:, varied]
+    return MarginalisedProblem(
+        problem=SumOfTerms(terms=terms, sizes=whole.sizes),
+        changes=slopes * everything.prior_sd[varied],
+        offset=slopes @ (everything.center - theta)[varied],
+    )
+
+
+def _terms(setup: Identification) -> SumOfTerms:
+    whole = innermost(setup.problem)
+    if not isinstance(whole, SumOfTerms):
+        raise TypeError(f"{type(whole).__name__} has no terms")
+    return whole
+
+
 def _with_fixed_nuisances(model: LaxityModel, theta: Array) -> LaxityModel:
     """The model with its nuisances fixed at theta: their derivatives are most of a simulation."""
     nuisances = set(model.parameters.nuisance_names)
@@ -124,19 +160,20 @@ def _with_fixed_nuisances(model: LaxityModel, theta: Array) -> LaxityModel:
     )
 
 
-def _nonlinearity(setup: Identification, residuals: LaxityResiduals, theta: Array) -> str:
+def _nonlinearity(
+    setup: Identification, linear: LaxityResiduals | MarginalisedProblem, theta: Array
+) -> str:
     """Nonlinearity of predictions over draws of the errors, as a sentence."""
-    everything, model = setup.free.everything, setup.model
+    everything = setup.free.everything
     varied = ~everything.is_of_interest
     generator = np.random.default_rng(DRAWS_SEED)
-    coordinates, jacobian = _tangent(setup, theta)
+    bent = _bent_residuals(setup, linear, theta)
     squares = []
     for _ in range(N_DRAWS):
         step = np.zeros(everything.n)
         step[varied] = generator.normal(scale=everything.prior_sd[varied])
         step = np.clip(theta + step, everything.lower, everything.upper) - theta
-        bent = model.predict(theta + step, derivatives=False).coordinates - coordinates
-        rows = residuals.rows(bent - jacobian @ step)
+        rows = bent(step)
         # A draw without an equilibrium in some trial tells nothing.
         if np.isfinite(rows).all():
             squares.append(np.mean(rows**2))
@@ -150,6 +187,25 @@ def _nonlinearity(setup: Identification, residuals: LaxityResiduals, theta: Arra
         f"{np.sqrt(np.mean(squares)):.2g} standard deviations of noise and errors together (root "
         f"mean square of {len(squares)} draws)."
     )
+
+
+def _bent_residuals(
+    setup: Identification, linear: LaxityResiduals | MarginalisedProblem, theta: Array
+) -> Callable[[Array], Array]:
+    """What a step from theta changes in residuals beyond a straight line, in their units."""
+    if isinstance(linear, MarginalisedProblem):
+        whole = _terms(setup)
+        here, slopes = whole.residuals(theta), whole.jacobian(theta)
+
+        def bent(step: Array) -> Array:
+            there = whole.residuals(theta + step)
+            is_found = np.isfinite(there).all()
+            return linear.whitened(there - here - slopes @ step) if is_found else there
+
+        return bent
+    coordinates, jacobian = _tangent(setup, theta)
+    predict = partial(setup.model.predict, derivatives=False)
+    return lambda x: linear.rows(predict(theta + x).coordinates - coordinates - jacobian @ x)
 
 
 def _tangent(setup: Identification, theta: Array) -> tuple[Array, Array]:

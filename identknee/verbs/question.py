@@ -89,8 +89,7 @@ def has_priors(verb: str, asked: bool | None) -> bool:  # noqa: FBT001 - as the 
 
 
 def _weighting(laxity: Laxity, arguments: Mapping[str, Any]) -> str:
-    has_forces = laxity.forces is not None and laxity.sd is not None
-    if has_forces or arguments.get("noise") is not None:
+    if (laxity.has_forces and laxity.sd is not None) or arguments.get("noise") is not None:
         return "noise"
     if "weighting" in arguments:
         return str(arguments["weighting"])

@@ -351,6 +351,9 @@ def laxity_digest(laxity: Laxity) -> str:
     if laxity.forces is not None:
         words = (*words, laxity.forces.names)
         numbers += [laxity.forces.values, laxity.forces.sd]
+    if (made := laxity.superposition) is not None:
+        words = (*words, made.trials, made.cut, made.before, made.after)
+        numbers += [made.values, made.sd, made.pose_sd]
     parts = [b"" if x is None else x.tobytes() for x in numbers]
     return digest(
         b"".join([_protocol_digest(laxity.protocol).encode(), repr(words).encode(), *parts])

@@ -1,5 +1,6 @@
 """How far the deviance rises to the truth where a knee is tested intact, cut, and with forces."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,10 +16,11 @@ from identknee.laxity.experiments import Experiment
 from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.protocol import Protocol
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee, Uncertainty
-from identknee.verbs.identification import identification
+from identknee.verbs.identification import Identification, identification
 
 # A knee without its MCL keeps most trials of both knees.
 STATES = {"intact": "intact", "cut": "cut: MCL", "part": "cut: LCL 50%"}
@@ -33,7 +35,11 @@ def experiment_replicate(task: tuple[str, int]) -> dict[str, Any]:
     subject, seed = task
     known = knee(subject).with_uncertainty(STATED)
     laxity, truth = _measured(known, np.random.default_rng([seed, *subject.encode()]))
-    setup = identification(known, laxity)
+    return rises_to_truth(identification(known, laxity), truth)
+
+
+def rises_to_truth(setup: Identification, truth: Mapping[str, float]) -> dict[str, Any]:
+    """The rise of the profile deviance of a question to each true ligament parameter."""
     names = setup.problem.parameters.names
     asked = setup.problem.parameters.names_of_interest
     at_truth = np.array([truth[x] for x in names])
@@ -56,18 +62,26 @@ def experiment_replicate(task: tuple[str, int]) -> dict[str, Any]:
     }
 
 
-def _measured(known: Knee, generator: np.random.Generator) -> tuple[ik.Laxity, dict[str, float]]:
-    """Noisy laxity and forces of a knee drawn around the one given, and its true parameters."""
-    whole = LaxityModel(knee=known, protocol=_protocol())
-    p = whole.parameters
+def drawn_truth(
+    model: LaxityModel, generator: np.random.Generator, n_needed: int
+) -> tuple[Array, Prediction]:
+    """Parameters drawn around those of a model, at which its first trials have an equilibrium."""
+    p = model.parameters
     for _ in range(MOST_DRAWS):
         steps = generator.standard_normal(p.n)
         asked = np.where(p.is_log, p.start * np.exp(LOG_SD * steps), p.start + STRAIN_SD * steps)
         theta = np.where(p.is_of_interest, asked, p.center + p.prior_sd * steps)
         theta = np.clip(theta, p.lower, p.upper)
-        found = whole.predict(theta)
-        if found.is_converged[: found.codes.size // len(STATES)].all():
+        found = model.predict(theta)
+        if found.is_converged[:n_needed].all():
             break
+    return theta, found
+
+
+def _measured(known: Knee, generator: np.random.Generator) -> tuple[ik.Laxity, dict[str, float]]:
+    """Noisy laxity and forces of a knee drawn around the one given, and its true parameters."""
+    whole = LaxityModel(knee=known, protocol=_protocol())
+    theta, found = drawn_truth(whole, generator, whole.protocol.n // len(STATES))
     noise = generator.normal(scale=NOISE, size=found.coordinates.shape)
     forces = _forces(whole, found.theta, generator)
     made = ik.Laxity(
@@ -76,7 +90,7 @@ def _measured(known: Knee, generator: np.random.Generator) -> tuple[ik.Laxity, d
         sd=np.full(noise.shape, NOISE),
         forces=forces,
     )
-    return made, dict(zip(p.names, theta.tolist(), strict=True))
+    return made, dict(zip(whole.parameters.names, theta.tolist(), strict=True))
 
 
 def _forces(model: LaxityModel, theta: Array, generator: np.random.Generator) -> MeasuredForces:
@@ -86,8 +100,7 @@ def _forces(model: LaxityModel, theta: Array, generator: np.random.Generator) ->
     )
     sd = np.tile([*FORCES.values()], (len(trials), 1))
     values = true + generator.normal(scale=sd)
-    # A load cell reads no pull of a slack ligament as one below zero; such readings are left out.
-    return MeasuredForces(names=tuple(FORCES), values=np.where(values < 0.0, np.nan, values), sd=sd)
+    return MeasuredForces(names=tuple(FORCES), values=values, sd=sd)
 
 
 def _protocol() -> Protocol:

@@ -1,7 +1,8 @@
 """Coverage of 95 % intervals of a knee tested intact, cut and cut in part, with forces measured.
 
-Insertions are wrong by 2 mm and stated so. An interval covers the truth if the profile deviance
-there is at most the threshold above its minimum.
+Insertions are wrong by 2 mm and stated so. A further part has in-situ forces by superposition, with
+errors of cell and pose, on a knee of known geometry. An interval covers the truth if the profile
+deviance there is at most the threshold above its minimum.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import numpy as np
 from experiment_replicates import experiment_replicate
 from requirement_rows import Measure, Row
 from scipy.stats import binomtest, chi2
+from superposition_replicates import superposition_replicate
 from work_store import work_store
 
 from identknee.runs.executors import process_pool
@@ -17,6 +19,7 @@ from identknee.runs.store import resumable_map
 
 KNEES, N, LEVEL = ("reference", "lenhart2015_stable"), 40, 0.95
 FIRST_SEED = 360_000
+SUPERPOSITION = "reference with superposition"
 
 
 def measure(options: argparse.Namespace) -> Row:
@@ -26,10 +29,19 @@ def measure(options: argparse.Namespace) -> Row:
         found = resumable_map(
             experiment_replicate, tasks, executor=executor, store=store, description="experiments"
         )
+    with work_store("superposition", {"n": N}) as store, process_pool(options.workers) as executor:
+        replayed = resumable_map(
+            superposition_replicate,
+            [FIRST_SEED + 10_000 + i for i in range(N)],
+            executor=executor,
+            store=store,
+            description="superposition",
+        )
     threshold = float(chi2.ppf(LEVEL, 1))
     measures, p_values, notes = [], [], []
-    for name in KNEES:
-        own = [x for (of, _), x in zip(tasks, found, strict=True) if of == name]
+    parts = {x: [y for (of, _), y in zip(tasks, found, strict=True) if of == x] for x in KNEES}
+    parts[SUPERPOSITION] = list(replayed)
+    for name, own in parts.items():
         covers = np.array([x["rises"] for x in own]) <= threshold
         p_values += [
             binomtest(int(x), len(covers), LEVEL).pvalue for x in covers.sum(axis=0).tolist()

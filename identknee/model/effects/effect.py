@@ -402,33 +402,69 @@ def line_slopes(
     poses
         Pose of each trial, shape ``(n, 5)``.
     """
+    changes, moves = line_changes(effects, settings, values, steps, poses, nodes, _loads)
+    return LineSlopes(
+        tensions=changes[:, :, 0],
+        strains=changes[:, :, 1],
+        stiffness=moves[:, :, STIFFNESS_COLUMN].T / (2.0 * steps),
+    )
+
+
+def _loads(lines: LineLigaments, *at: Array) -> Array:
+    """Tension and strain of each line, shape ``(n, m, 2)``."""
+    found = ligament_tensions(lines, *at)
+    return np.stack([found.tensions, found.strains], axis=2)
+
+
+# What lines do at poses: of the lines, flexion (n,), poses (n, 5), stiffness and reference strain.
+OfLines = Callable[[LineLigaments, Array, Array, Array, Array], Array]
+
+
+def line_changes(
+    effects: Sequence[Placed],
+    settings: Sequence[MechanicsInputs],
+    values: Array,
+    steps: Array,
+    poses: Array,
+    nodes: IntArray,
+    quantity: OfLines,
+) -> tuple[Array, Array]:
+    """Derivatives of what lines do, by the amplitudes at poses ``(n, 5)``.
+
+    Parameters
+    ----------
+    effects, settings, values, steps, nodes
+        As for `gradient_columns`.
+    poses
+        Pose of each trial, shape ``(n, 5)``.
+    quantity
+        What m lines do, a closed-form function, shape ``(n, m, k)``.
+
+    Returns
+    -------
+    changes
+        The derivatives, shape ``(n, m, k, a)``.
+    moves
+        Differences of the table of lines that they follow from, shape ``(a, m, 12)``.
+    """
     last, flexion = settings[-1], settings[-1].flexion[nodes]
     perturbed, table = _perturbed(effects, settings, values, steps), _table(last)
     moves = perturbed.moves + _own_moves(effects, settings, values, steps)
     line, entry, step, lines, laws = _moved_lines(table, moves)
-    found = ligament_tensions(lines, flexion, poses, *laws)
+    less, more = np.split(quantity(lines, flexion, poses, *laws), 2, axis=1)
     share = moves[:, line, entry] / (2.0 * step)
     turned = perturbed.copies.flexion(len(last.flexion))[:, nodes]
-    by_flexion = [
-        ligament_tensions(
-            last.measured_lines, flexion + x, poses, last.stiffness, last.reference_strain
-        )
+    own_laws = last.stiffness, last.reference_strain
+    low, high = (
+        quantity(last.measured_lines, flexion + x, poses, *own_laws)
         for x in (-FLEXION_STEP, FLEXION_STEP)
-    ]
-    slopes = []
-    for name in ("tensions", "strains"):
-        less, more = np.split(getattr(found, name), 2, axis=1)
-        low, high = (getattr(x, name) for x in by_flexion)
-        changes = ((high - low) / (2.0 * FLEXION_STEP))[:, :, None] * turned.T[:, None]
-        for i in range(len(table)):
-            own = line == i
-            changes[:, i] += (more - less)[:, own] @ share[:, own].T
-        slopes.append(changes / (2.0 * steps))
-    return LineSlopes(
-        tensions=slopes[0],
-        strains=slopes[1],
-        stiffness=moves[:, :, STIFFNESS_COLUMN].T / (2.0 * steps),
     )
+    by_flexion = (high - low) / (2.0 * FLEXION_STEP)
+    changes = by_flexion[..., None] * turned.T[:, None, None]
+    for i in range(len(table)):
+        own = line == i
+        changes[:, i] += np.swapaxes(more - less, 1, 2)[:, :, own] @ share[:, own].T
+    return np.asarray(changes / (2.0 * steps)), moves
 
 
 @declared
@@ -774,6 +810,18 @@ class EffectStack:
     ) -> LineSlopes:
         """Derivatives of all lines by the amplitudes at poses ``(n, 5)`` of trials at nodes."""
         return line_slopes(self._mechanical, settings, values, self._steps, poses, nodes)
+
+    def line_changes(
+        self,
+        settings: Sequence[MechanicsInputs],
+        values: Array,
+        poses: Array,
+        nodes: IntArray,
+        quantity: OfLines,
+    ) -> Array:
+        """Derivatives by the amplitudes of what lines do at poses, shape ``(n, m, k, a)``."""
+        placed = self._mechanical
+        return line_changes(placed, settings, values, self._steps, poses, nodes, quantity)[0]
 
     def contact_pairs(
         self, settings: Sequence[MechanicsInputs], values: Array

@@ -10,12 +10,20 @@ from typing_extensions import override
 from identknee.checks.fit_checks import AT_END
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.presenter import Presenter, Question, Statement, of_type, presenter_of
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Statement,
+    of_type,
+    presenter_of,
+)
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
+from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration
 
@@ -160,6 +168,22 @@ class CalibrationPresenter(Presenter[Calibration]):
                     ),
                 ),
             )
+
+    @override
+    def drawings(self, answer: Calibration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
+        from identknee.report.force_figures import compared_forces_figure
+
+        if (forces := answer.compared_forces) is None:
+            return
+        kinds = list(dict.fromkeys(map(label, forces.names)))
+        yield Drawing(
+            name="forces",
+            figure=compared_forces_figure(forces),
+            caption="Measured forces (dots, with two standard deviations) and those that the fit "
+            "predicts (squares), by trial.",
+            description=f"Measured and predicted {listed(kinds)} in {len(set(forces.trials))} "
+            "trials.",
+        )
 
     @override
     def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bundled_knee import bundled_knee
 
 import identknee as ik
 from identknee.calibrate.problem import FORCE_TERM, TABLE_TERM
@@ -181,8 +182,47 @@ def test_what_has_no_force_is_refused() -> None:
         ik.fit("reference", replace(laxity, sd=None))
     with pytest.raises(ValueError, match="heavy tails"):
         ik.fit("reference", laxity, likelihood="student")
-    with pytest.raises(ValueError, match="negative"):
-        MeasuredForces(names=("ACL.tension_N",), values=np.array([[-1.0]]), sd=np.ones((1, 1)))
+    with pytest.raises(ValueError, match="below 0"):
+        MeasuredForces(names=("ACL.tension_N",), values=np.array([[-4.1]]), sd=np.ones((1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("state", "owner"),
+    [("cut: MCL", "MCLa"), ("cut: MCL", "MCL"), ("cut: MCLa, MCLp", "MCL"), ("cut: MCLa", "MCLa")],
+)
+def test_the_force_of_what_is_cut_is_refused(state: str, owner: str) -> None:
+    forces = MeasuredForces(
+        names=(f"{owner}.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1))
+    )
+    protocol = replace(PROTOCOL.select([0]), state=(state,))
+    model = LaxityModel(knee=bundled_knee(), protocol=protocol)
+    with pytest.raises(ValueError, match=f"force of {owner} .* cut"):
+        ForceResiduals(model=model, forces=forces)
+
+
+def test_a_group_that_keeps_a_bundle_has_a_force() -> None:
+    forces = MeasuredForces(names=("MCL.tension_N",), values=np.ones((1, 1)), sd=np.ones((1, 1)))
+    for state in ("cut: MCLa", "cut: MCL 50%"):
+        model = LaxityModel(
+            knee=bundled_knee(), protocol=replace(PROTOCOL.select([0]), state=(state,))
+        )
+        assert ForceResiduals(model=model, forces=forces).n == 1
+
+
+def test_a_slack_ligament_may_read_a_little_below_zero(tmp_path: Path) -> None:
+    """Refusing such readings would make the mean of those that are left too high."""
+    laxity = _laxity(("ACL.tension_N",))
+    assert laxity.forces is not None
+    values = np.array(laxity.forces.values)
+    values[1] = -19.0
+    below = replace(laxity, forces=replace(laxity.forces, values=values))
+    path = ik.write_laxity(below, tmp_path / "a.csv")
+    again = ik.read_laxity(path).forces
+    assert again is not None
+    assert again.values[1, 0] == -19.0
+    path.write_text(path.read_text().replace("-19.0,5.0", "-21.0,5.0"))
+    with pytest.raises(ik.InputError, match=r"ACL_tension_N.*below 0"):
+        ik.read_laxity(path)
 
 
 def _with_names(laxity: ik.Laxity, names: tuple[str, ...]) -> ik.Laxity:

@@ -5,11 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from replayed_paths import in_situ_forces
 from tolerances import CLOSED_FORM
 
 import identknee as ik
+from identknee.laxity.experiment_tables import joined
+from identknee.laxity.experiments import Experiment
+from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import structure_loads
 from identknee.runs.executors import serial
 from identknee.subject.knee import Knee, with_stated_uncertainty
 from identknee.verbs.identification import Identification, identification
@@ -55,7 +60,40 @@ def test_it_starts_at_the_best_fit_of_all_parameters(marginal: Identification) -
     np.testing.assert_array_equal(marginal.start, best[problem.parameters.is_of_interest])
 
 
-def test_information_is_that_of_the_marginal_covariance(marginal: Identification) -> None:
+def _with_forces(knee: Knee, measured: Laxity) -> Laxity:
+    """The same of a rig whose cell has a constant error, with tensions and in-situ forces."""
+    rig = Experiment(name="a", rig="r", mounting="r-1", uncertainty={"load_cell_N": 3.0})
+    whole = joined([(rig, measured)])
+    model = LaxityModel(knee=knee, protocol=whole.protocol)
+    theta, n = model.parameters.start, measured.n
+    found = structure_loads(model, model.predict(theta))
+    tensions = found.tensions[:, [found.names.index("ACL")]]
+    generator = np.random.default_rng(3)
+    forces = MeasuredForces(
+        names=("ACL.tension_N",),
+        values=tensions + generator.normal(scale=10.0, size=(n, 1)),
+        sd=np.full((n, 1), 10.0),
+    )
+    rows = [
+        (trial, *x)
+        for trial in whole.protocol.trials[:3]
+        for x in (("PCL", "intact", "cut: PCL"), ("ACL", "cut: PCL", "cut: ACL, PCL"))
+    ]
+    made = in_situ_forces(model, theta, rows, pose_sd=(0.05, 0.05), generator=generator)
+    return replace(whole, forces=forces, superposition=made)
+
+
+@pytest.fixture(scope="module")
+def with_forces(knee: Knee, measured: Laxity) -> Identification:
+    setup = identification(knee, _with_forces(knee, measured), fixed=FIXED)
+    return marginalise_nuisances(setup, seed=0, executor=serial)[0]
+
+
+@pytest.mark.parametrize("which", ["marginal", "with_forces"])
+def test_information_is_that_of_the_marginal_covariance(
+    which: str, request: pytest.FixtureRequest
+) -> None:
+    marginal: Identification = request.getfixturevalue(which)
     problem, best = marginal.nuisances_at or pytest.fail("nothing was averaged over")
     is_asked = problem.parameters.is_of_interest
     full = problem.jacobian(best)
@@ -64,9 +102,11 @@ def test_information_is_that_of_the_marginal_covariance(marginal: Identification
     np.testing.assert_allclose(np.linalg.inv(own.T @ own), covariance, rtol=SOLVED)
 
 
+@pytest.mark.parametrize("which", ["marginal", "with_forces"])
 def test_the_gradient_is_that_of_the_deviance_with_nuisances_fitted_anew(
-    marginal: Identification,
+    which: str, request: pytest.FixtureRequest
 ) -> None:
+    marginal: Identification = request.getfixturevalue(which)
     problem, best = marginal.nuisances_at or pytest.fail("nothing was averaged over")
     is_asked = problem.parameters.is_of_interest
     residuals, jacobian = problem.residuals(best), problem.jacobian(best)
@@ -86,6 +126,18 @@ def test_it_says_how_far_predictions_bend(marginal: Identification) -> None:
     assert int(n_marginalised) == 25
     assert 0.0 < float(bend) < 1.0
     assert 10 <= int(n_draws) <= 16
+
+
+def test_forces_beside_stated_errors_have_equivalents(with_forces: Identification) -> None:
+    said = with_forces.assumptions[-1]
+    assert re.findall(r"\d+(?:\.\d+)?", said)[0] == str(25 + 3)
+    knee, laxity = with_forces.knee, with_forces.laxity
+    found = ik.equivalents(knee, laxity, n_sets=2, forces="none", fixed=FIXED)
+    assert all(x.startswith(("ACL", "PCL")) for x in found.region.parameters)
+    alone = ik.equivalents(knee, laxity.without_forces(), n_sets=2, forces="none", fixed=FIXED)
+    ends = [x.region.parameters["ACL.stiffness_kN"] for x in (found, alone)]
+    widths = [x.largest - x.smallest for x in ends]
+    assert widths[0] < widths[1]
 
 
 def test_a_knee_known_exactly_is_left_alone(measured: Laxity) -> None:

@@ -1,0 +1,222 @@
+"""Residuals of in-situ forces from replayed paths, in units of their errors.
+
+The wrench of a structure is predicted in the model's equilibrium of the trial whose path was
+replayed. An error of the replayed pose changes it by the stiffness of the structure: it adds
+``K S K'`` to the covariance of the readings. That stiffness is taken at one parameter vector and
+kept, so that residuals stay a function of the parameters with errors of known size.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+
+from identknee.laxity.experiments import INTACT
+from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.table import Laxity
+from identknee.model.effects.effect import OF
+from identknee.model.experiments import gone_in, members_of
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import index_of, structure_names
+from identknee.model.nuisances import CELL
+from identknee.model.parameters import Parameters
+from identknee.model.prediction import Prediction
+from identknee.model.structure_wrenches import StructureWrenches, structure_wrenches
+from identknee.runs.arrays import Array, BoolArray, short_repr
+from identknee.runs.errors import ValueRefused
+
+FORCE, N_COMPONENTS = slice(0, 3), len(WRENCH)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SuperpositionResiduals:
+    """Predicted less measured in-situ forces, whitened by the covariance of their errors.
+
+    Attributes
+    ----------
+    model
+        The model under the protocol of the data.
+    superposition
+        What was measured. Where it has no covariance yet, that at the model's start counts.
+    offset
+        What is added to what the cell reads of each row, shape ``(rows, 6)``; nothing if None.
+    is_everywhere
+        Whether a trial without equilibrium leaves its forces out, as in a search that begins
+        anywhere; all residuals are infinite otherwise.
+
+    Raises
+    ------
+    ValueError
+        If the model lacks a structure that was cut, or it was gone before the path was made.
+    """
+
+    model: LaxityModel
+    superposition: Superposition
+    offset: Array | None = None
+    is_everywhere: bool = False
+    _trials: tuple[int, ...] = field(init=False, repr=False)
+    _offsets: Array = field(init=False, repr=False)
+    _whitening: Array = field(init=False, repr=False)
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        """Check that the model has what was cut."""
+        model, made = self.model, self.superposition
+        protocol, names = model.protocol, structure_names(model)
+        trials = tuple(protocol.trials.index(x) for x in made.trials)
+        for row, trial in enumerate(trials):
+            index_of(made.cut[row], names, "ligament")
+            state = INTACT if protocol.state is None else protocol.state[trial]
+            if members_of(model.knee, made.cut[row]) <= gone_in(model.knee, state):
+                raise ValueRefused(
+                    f"{made.words(row)}: it was cut before this path was made",
+                    "name the trial whose path was replayed",
+                )
+        object.__setattr__(self, "_trials", trials)
+        object.__setattr__(self, "_offsets", _offset_slopes(model, trials))
+        covariance = made.covariance
+        if covariance is None:
+            covariance = error_covariance(model, made, model.parameters.start)
+        object.__setattr__(self, "_whitening", np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameters of the model."""
+        return self.model.parameters
+
+    @property
+    def n(self) -> int:
+        """How many values were measured."""
+        return self.superposition.n_values
+
+    def predicted(self, theta: Array) -> Array:
+        """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
+        return _with_size(self._readings(theta))
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of each value, errors of the pose included, shape ``(rows, 7)``."""
+        spread = np.full(self.superposition.values.shape, np.nan)
+        spread[self.superposition.is_measured] = np.linalg.norm(
+            np.linalg.inv(self._whitening), axis=1
+        )
+        return spread
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals, shape ``(n,)``; infinite where a trial has no equilibrium."""
+        made = self.superposition
+        left = (self.predicted(theta) - made.values)[made.is_measured]
+        lost = np.isnan(left)
+        if lost.any() and not self.is_everywhere:
+            return np.full(self.n, np.inf)
+        return np.asarray(self._whitening @ np.where(lost, 0.0, left))
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives by theta, shape ``(n, p)``."""
+        found = self._found(theta)
+        slopes = found.jacobian + self._offsets
+        direction = _directions(self._readings(theta))
+        by_size = np.einsum("ri,rip->rp", direction, slopes[:, FORCE])
+        rows = np.concatenate([slopes, by_size[:, None]], axis=1)[self.superposition.is_measured]
+        return np.asarray(self._whitening @ (np.nan_to_num(rows) if self.is_everywhere else rows))
+
+    def offset_at(self, theta: Array) -> Array:
+        """What constant errors of the cells add to each row, shape ``(rows, 6)``."""
+        added = self._offsets @ theta
+        return np.asarray(added if self.offset is None else added + self.offset)
+
+    def _readings(self, theta: Array) -> Array:
+        return np.asarray(self._found(theta).values + self.offset_at(theta))
+
+    def _found(self, theta: Array) -> StructureWrenches:
+        prediction = self.model.predict_once(theta)
+        return _wrenches(self.model, prediction, self._trials, self.superposition.cut)
+
+
+# Residuals and their Jacobian are asked for one after the other.
+@lru_cache(maxsize=2)
+def _wrenches(
+    model: LaxityModel, prediction: Prediction, trials: tuple[int, ...], names: tuple[str, ...]
+) -> StructureWrenches:
+    return structure_wrenches(model, prediction, trials, names)
+
+
+def _offset_slopes(model: LaxityModel, trials: tuple[int, ...]) -> Array:
+    """Derivatives of what the cell reads by the constant errors of each rig's, ``(r, 6, p)``."""
+    protocol, names = model.protocol, model.parameters.names
+    slopes = np.zeros((len(trials), N_COMPONENTS, len(names)))
+    rigs = {x.name: x.rig for x in protocol.experiments}
+    only = next(iter(rigs.values()), "")
+    for row, trial in enumerate(trials):
+        rig = only if protocol.experiment is None else rigs[protocol.experiment[trial]]
+        for i, component in enumerate(WRENCH):
+            if (name := f"{rig}{OF}{CELL}.{component}") in names:
+                slopes[row, i, names.index(name)] = 1.0
+    return slopes
+
+
+def _with_size(wrenches: Array) -> Array:
+    size = np.linalg.norm(wrenches[:, FORCE], axis=1, keepdims=True)
+    return np.concatenate([wrenches, size], axis=1)
+
+
+def _directions(wrenches: Array) -> Array:
+    """Unit vectors along forces, zero where there is none, shape ``(r, 3)``."""
+    forces = wrenches[:, FORCE]
+    size = np.linalg.norm(forces, axis=1, keepdims=True)
+    return np.asarray(np.divide(forces, size, out=np.zeros(forces.shape), where=size > 0.0))
+
+
+def weighed(laxity: Laxity, model: LaxityModel, theta: Array) -> Laxity:
+    """The data with the covariance of their in-situ forces, stiffnesses taken at `theta`."""
+    if (made := laxity.superposition) is None:
+        return laxity
+    covariance = error_covariance(model, made, theta)
+    return replace(laxity, superposition=replace(made, covariance=covariance))
+
+
+def error_covariance(model: LaxityModel, made: Superposition, theta: Array) -> Array:
+    """Covariance of the errors of all measured values, shape ``(n, n)``.
+
+    Parameters
+    ----------
+    model
+        The model under the protocol of the data.
+    made
+        What was measured.
+    theta
+        Where the stiffness of structures is taken, and the direction of forces of which only the
+        size was measured. Where a trial has no equilibrium there, errors of its pose count as
+        nothing.
+    """
+    trials = [model.protocol.trials.index(x) for x in made.trials]
+    shares, replayed = made.shares(), made.pose_sd.any(axis=1)
+    # What each value is of the three components of a force and of all six of a wrench.
+    axes = np.zeros((made.n, N_COMPONENTS + 1, N_COMPONENTS))
+    axes[:, :N_COMPONENTS] = np.eye(N_COMPONENTS)
+    moved = np.zeros((made.n, N_COMPONENTS, 6))
+    has_sizes = made.is_measured[:, N_COMPONENTS].any()
+    if replayed.any() or has_sizes:
+        found = structure_wrenches(model, model.predict(theta), trials, made.cut)
+        axes[:, N_COMPONENTS, FORCE] = _directions(np.nan_to_num(found.values))
+        errors = np.repeat([made.pose_sd[:, 0], np.radians(made.pose_sd[:, 1])], 3, axis=0).T
+        moved = np.nan_to_num(found.by_twist) * errors[:, None]
+    seen = made.is_measured
+    row = np.nonzero(seen)[0]
+    along, sd = axes[seen], made.sd[seen]
+    # A size has an error of its own also where the force, and so its direction, is unknown.
+    common = along @ along.T
+    np.fill_diagonal(common, 1.0)
+    noise = sd[:, None] * shares[np.ix_(row, row)] * common * sd
+    pushed = np.einsum("ki,kij->kj", along, moved[row])
+    one_pose = _same_run(made)[np.ix_(row, row)]
+    covariance = noise + np.where(one_pose, pushed @ pushed.T, 0.0)
+    return np.asarray(covariance)
+
+
+def _same_run(made: Superposition) -> BoolArray:
+    """Which rows replay a path from one state, and so with one error of the pose, ``(n, n)``."""
+    runs = list(zip(made.trials, made.before, strict=True))
+    number = np.array([runs.index(x) for x in runs])
+    return np.asarray(number[:, None] == number)

@@ -1,0 +1,49 @@
+"""Figures of measured forces beside those predicted."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from identknee.checks.compared_forces import ComparedForces
+from identknee.report.figures import BLACK, COLOURS, SMALL, bare, legend_below
+from identknee.runs.words import label
+
+MOST_PANELS, MOST_TRIALS, IN_A_ROW = 12, 24, 3
+
+
+def compared_forces_figure(forces: ComparedForces) -> Figure:
+    """Measured and predicted forces by trial, a panel for each kind of them.
+
+    Dots are measured, their bars two standard deviations. Of many the panels, and the trials of a
+    panel, are shown in which both differ most.
+    """
+    names, away = np.array(forces.names), np.abs(forces.measured - forces.predicted) / forces.sd
+    away = np.nan_to_num(away)
+    kinds = list(dict.fromkeys(forces.names))
+    worst = sorted(kinds, key=lambda x: -float(away[names == x].max()))[:MOST_PANELS]
+    kinds = [x for x in kinds if x in worst]
+    rows = [np.flatnonzero(names == x) for x in kinds]
+    rows = [np.sort(x[np.argsort(-away[x], kind="stable")[:MOST_TRIALS]]) for x in rows]
+    n, columns = max(map(len, rows)), min(IN_A_ROW, len(kinds))
+    lines = -(-len(kinds) // columns)
+    size = (1.2 + 3.2 * columns, 0.6 + lines * (0.9 + 0.2 * n))
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(lines, columns, squeeze=False)
+    for axes, kind, own in zip(grid.flat, kinds, rows, strict=False):
+        places = np.arange(len(own))
+        axes.errorbar(
+            forces.measured[own], places, xerr=2.0 * forces.sd[own], fmt="o", color=BLACK,
+            markersize=3.5, elinewidth=0.9, label="measured",
+        )  # fmt: skip
+        axes.plot(
+            forces.predicted[own], places, "s", color=COLOURS[1], markersize=6.0,
+            markerfacecolor="none", label="predicted by the fit",
+        )  # fmt: skip
+        axes.set_yticks(places, [forces.trials[i] for i in own])
+        axes.set_ylim(len(own) - 0.4, -0.6)
+        axes.set_xlabel(label(kind), fontsize=SMALL + 1)
+        axes.tick_params(labelsize=SMALL)
+        bare(axes, grid="y")
+    for axes in grid.flat[len(kinds) :]:
+        axes.remove()
+    legend_below(figure, *grid.flat[0].get_legend_handles_labels())
+    return figure
