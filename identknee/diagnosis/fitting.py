@@ -60,9 +60,9 @@ MOST_STEPS = 40
 # Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
 # to other minima.
 STRAIGHT_STEPS = 12
-# A prior that was not asked for is so many times as wide, and one of a ligament that carries nothing:
-# ten times as wide, the prior of its stiffness still held a torn one at 4e-4 kN, where it moved the
-# knee by 1.4 sd of the noise. A share of the stiffness that carries nothing.
+# A prior that was not asked for is so many times as wide, and one of a ligament that carries
+# nothing: ten times as wide, the prior of its stiffness still held a torn one at 4e-4 kN, where it
+# moved the knee by 1.4 sd of the noise. A share of the stiffness that carries nothing.
 WIDER, WIDER_IF_IDLE, NEARLY_GONE = 10.0, 1000.0, 0.02
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5

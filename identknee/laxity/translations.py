@@ -22,7 +22,7 @@ from identknee.runs.arrays import Array
 Translations = Literal["components", "projections", "femur", "tibia"]
 COMPONENTS: Translations = "components"
 DEFINITIONS: tuple[Translations, ...] = get_args(Translations)
-# Decimals of a component in mm. Where equilibria jump, the rounding errors of a change of axes lead a
+# Decimals of a component in mm. Where equilibria jump, rounding errors of a change of axes lead a
 # fit elsewhere; without them a table is the same by whichever definition it was written.
 DECIMALS = 10
 # Entries of a matrix that are zero but for rounding: what stands there is not needed.
