@@ -159,6 +159,9 @@ def show(summary: Mapping[str, Any], lines: Sequence[str], *, as_json: bool) -> 
         typer.echo("\n".join(lines))
 
 
+NOTHING_HOLDS = "an error was found ({}), and nothing computed holds"
+
+
 def finished(
     answer: "Answer", out: Path, *, then: str, as_json: bool, is_verbose: bool = False
 ) -> None:
@@ -172,7 +175,10 @@ def finished(
     if answer.remark:
         typer.echo(answer.remark, err=True)
     if answer.failure:
-        raise NotComputable(answer.failure)
+        # In full where the answer is no text, or does not say it.
+        own = [x.code for x in answer.findings if x.sentence == answer.failure]
+        is_said = own and not as_json
+        raise NotComputable(NOTHING_HOLDS.format(own[0]) if is_said else answer.failure)
 
 
 def end_with_errors(answer: "Answer") -> None:

@@ -45,7 +45,8 @@ COLUMN = re.compile(
     r"column\s*:\s*(\w+)\s*=\s*(?:([0-9.]+)\s*(?=[+-]))?([+-]?)\s*(?:([^*]+?)\s*\*)?\s*(-?)\s*(\S.*)",
     re.IGNORECASE,
 )
-SEPARATOR = re.compile(r'"?sep=([,;\t])"?[,;\t]*', re.IGNORECASE)
+SEPARATOR = re.compile(r'"?sep\s*=\s*([^\w\s"]|[ \t])"?[,;\t]*', re.IGNORECASE)
+BETWEEN_CELLS = ",;\t|"
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -66,8 +67,8 @@ class CellFile:
     comments
         Line number and text of each comment met so far.
     delimiter
-        What stands between cells: a comma or, where the header says so, a semicolon or a tab. Only
-        then may numbers have a decimal comma.
+        What stands between cells: a comma or, where the header or Excel's own first line says so, a
+        semicolon, a tab or a bar. Only then may numbers have a decimal comma.
     sources
         Column in the file, the factor of its values, and what is added to them, by the name that it
         is read under.
@@ -256,7 +257,13 @@ class CellFile:
             # Excel's own first line says what stands between cells.
             if not stated and (found := SEPARATOR.fullmatch(text)):
                 stated = found[1]
+                if stated not in BETWEEN_CELLS:
+                    why = f"{stated!r} is not read as what stands between cells"
+                    self.refuse(line, "", why, "Save the table with commas or semicolons.")
                 continue
+            if stated and stated not in text:
+                why = f"the first line says {stated!r} between cells, and the header has none"
+                self.refuse(line, "", why, "Correct the first line, or remove it.")
             used = next((x for x in ";\t" if x in text and "," not in text), ",")
             self.delimiter = stated or used
             names = self._split(line, text)

@@ -22,6 +22,9 @@ from identknee.runs.arrays import Array
 Translations = Literal["components", "projections", "femur", "tibia"]
 COMPONENTS: Translations = "components"
 DEFINITIONS: tuple[Translations, ...] = get_args(Translations)
+# Decimals of a component in mm. Where equilibria jump, rounding errors of a change of axes lead a
+# fit elsewhere; without them a table is the same by whichever definition it was written.
+DECIMALS = 10
 # Entries of a matrix that are zero but for rounding: what stands there is not needed.
 LEAST = 1e-12
 
@@ -42,10 +45,13 @@ def to_components(definition: Translations, flexion_deg: Array, coordinates: Arr
     Returns
     -------
     coordinates
-        Shape ``(n, 5)``; NaN where a component hangs on a value that was not measured.
+        Shape ``(n, 5)``, translations to 1e-10 mm; NaN where a component hangs on a value that was
+        not measured.
     """
     back = _inverse(_matrices(definition, flexion_deg, coordinates))
-    return _changed(back, coordinates)
+    found = _changed(back, coordinates)
+    found[:, :3] = np.round(found[:, :3], DECIMALS)
+    return found
 
 
 def from_components(definition: Translations, flexion_deg: Array, coordinates: Array) -> Array:

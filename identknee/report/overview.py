@@ -454,7 +454,9 @@ def overview(answers: Sequence[Answer]) -> Overview:
         reasons=reasons(x.found for x in rows),
         searches=searches_sentences(answers),
         questions=tuple(question_sentences(answers)),
-        next_tests=tuple(test for x in answers for test in presenter_of(x).next_tests(x)),
+        next_tests=tuple(
+            dict.fromkeys(test for x in answers for test in presenter_of(x).next_tests(x))
+        ),
     )
 
 

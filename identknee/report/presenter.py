@@ -218,9 +218,11 @@ class Presenter(Generic[Given]):
         """Parameters and forces, by its name."""
         yield from ()
 
-    def next_tests(self, _answer: Given) -> Iterator[str]:
+    def next_tests(self, answer: Given) -> Iterator[str]:
         """Advised tests, and what each would bring."""
-        yield from ()
+        for x in self.statements(answer):
+            if x.is_answer and x.question is Question.NEXT:
+                yield x.sentence
 
     def headline(self, _answer: Given) -> str:
         """What comes before everything else that results say together; mostly nothing."""

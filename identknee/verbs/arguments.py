@@ -3,23 +3,30 @@
 import inspect
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
+from identknee.calibrate.fit import StartLike
+from identknee.laxity.data_frame import NAME as FRAME
 from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.experiment_tables import is_experiments
 from identknee.laxity.named_tables import TABLES
+from identknee.laxity.protocol import BUILT_IN, Protocol
 from identknee.laxity.table import TABLE_FILES, Laxity, read_laxity
 from identknee.runs.errors import ValueRefused
 from identknee.subject.examples import named_subject
 from identknee.subject.folder import FILE
 from identknee.subject.knee import Knee
+from identknee.verbs.answer import Answer
 from identknee.verbs.values import noise_words
 
-SUBJECT, DATA = "subject", "data"
+SUBJECT, DATA, PROTOCOL = "subject", "data", "protocol"
 SUBJECT_FILES = (".toml", ".osim")
 # The types that sizes of noise may have, and no other option has together.
 NOISE = frozenset({str, float, tuple[float, float]})
+# Those of a start.
+START = frozenset(get_args(StartLike))
 ORDER = "give the subject first and the laxity table second"
 
 
@@ -49,12 +56,41 @@ def _as_taken(name: str, annotation: Any, given: Any) -> Any:
     kinds = _kinds(annotation)
     if name == DATA and isinstance(given, list | tuple):
         tables = [_as_taken(name, annotation, x) for x in given]
-        return tables[0] if len(tables) == 1 else tables or None
+        return tables[0] if len(tables) == 1 else _numbered(tables) or None
+    if kinds >= START:
+        return _start(given)
     if is_frame(given) and (name == DATA or Frame in kinds):
         return read_laxity(given, is_measured=name == DATA)
     if Sequence[str] in kinds and str not in kinds:
         return _names(given)
     return noise_words(given) if kinds >= NOISE else given
+
+
+def _numbered(tables: Sequence[Any]) -> list[Any]:
+    """The tables, data frames with a number in their names, which are the same."""
+    named, found = 0, []
+    for x in tables:
+        if isinstance(x, Laxity) and x.protocol.name == FRAME:
+            named += 1
+            x = replace(x, protocol=replace(x.protocol, name=f"{FRAME}{named}"))
+        found.append(x)
+    return found
+
+
+def _start(given: Any) -> Any:
+    """Where fits start: values of an answer or of a pandas series as a dictionary."""
+    if isinstance(given, Answer) and given.parameter_set is not None:
+        errors = {x.name for x in given.nuisances}
+        return {name: x for name, x in given.parameter_set.items() if name not in errors}
+    if hasattr(given, "to_dict") and hasattr(given, "index"):
+        return given.to_dict()
+    if given is None or isinstance(given, str | os.PathLike | Mapping):
+        return given
+    raise ValueRefused(
+        f"{_shown(given)} is no start",
+        "give subject, IG1 to IG4, a file ending in .toml or a dictionary of values by parameter, "
+        "such as {'ACL.stiffness_kN': 9.5}",
+    )
 
 
 def _kinds(annotation: Any) -> frozenset[Any]:
@@ -83,6 +119,17 @@ def _check_places(arguments: Mapping[str, Any]) -> None:
 def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
     """The same for one of the tables."""
     subject = arguments[SUBJECT]
+    if _is_protocol(subject):
+        is_exchanged = _is_subject(arguments.get(PROTOCOL))
+        raise ValueRefused(
+            f"{_shown(subject)} is a protocol"
+            + (
+                ": subject and protocol have changed places"
+                if is_exchanged
+                else " where the subject belongs"
+            ),
+            "give the subject first, such as reference",
+        )
     if _is_table(subject):
         if DATA in arguments and (data is None or _is_subject(data)):
             mistake = (
@@ -114,6 +161,13 @@ def _is_table(given: Any) -> bool:
         is_table = path.suffix.lower() in TABLE_FILES and not path.is_dir()
         return is_table or is_experiments(path)
     return isinstance(given, Laxity) or is_frame(given)
+
+
+def _is_protocol(given: Any) -> bool:
+    """Whether this can only be trials to make."""
+    if isinstance(given, str):
+        return given in BUILT_IN and not Path(given).exists()
+    return isinstance(given, Protocol)
 
 
 def _is_subject(given: Any) -> bool:

@@ -145,7 +145,10 @@ Uncertain = Annotated[
         typed=list[str] | None,
     ),
 ]
-VALUES = "Or a dictionary of values by parameter; all others have the subject's."
+VALUES = (
+    "Or values by parameter, as a dictionary, a pandas Series or the answer of a fit; all others "
+    "have the subject's."
+)
 Start = Annotated[
     StartLike,
     option(

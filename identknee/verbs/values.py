@@ -35,7 +35,9 @@ def noise_of(noise: str | float | tuple[float, float]) -> tuple[float, float]:
     is_truth: bool = isinstance(given, bool)
     if isinstance(given, Real) and not is_truth:
         given = (float(given), float(given))
-    if not isinstance(given, Sized) or len(given) != 2:
+    if isinstance(given, Mapping) and set(given) == {"mm", "deg"}:
+        given = (given["mm"], given["deg"])
+    if isinstance(given, Mapping) or not isinstance(given, Sized) or len(given) != 2:
         raise ValueError(
             f"noise {noise}: these are not two sizes. Give the standard deviations of translations "
             "[mm] and of rotations [deg], for example (0.3, 0.3)"

@@ -266,7 +266,6 @@ class DesignPresenter(Presenter[Design]):
             f"Next test for {targets}: {trials}.",
             narrowing_words,
             unbounded_words(choice),
-            f"{ADVICE} lists the trials, to be filled in and appended to the data.",
         )
         yield self.say(
             " ".join(filter(None, parts)),
@@ -274,6 +273,7 @@ class DesignPresenter(Presenter[Design]):
             table_of_trials([(str(x["trial"]), trial_description(x)) for x in answer.trials]),
             is_answer=True,
         )
+        yield self.say(f"{ADVICE} lists the trials, to be filled in and appended to the data.")
         yield from single_step_statements(answer)
         if choice.excluded:
             yield self.say(
@@ -327,12 +327,3 @@ class DesignPresenter(Presenter[Design]):
             "with their order and how often each is to be made.",
             description=f"Gain of {choice.n_candidates} candidate trials; chosen are {trials}.",
         )
-
-    @override
-    def next_tests(self, answer: Design) -> Iterator[str]:
-        name, now, then = _told(answer.choice)
-        words = parameter_words(name)
-        brings = f"This would narrow {words} to {then}; it is {now} now."
-        if now == then:
-            brings = f"{capitalised(words)} stays {then}."
-        yield f"{trial_list(answer.trials)}. {brings}"

@@ -15,7 +15,7 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
-from identknee.report.answers.design import sizes_words, trial_list, trial_table, trials_words
+from identknee.report.answers.design import sizes_words, trial_table, trials_words
 from identknee.report.answers.isolability import SIZES, detectable_sizes
 from identknee.report.presenter import (
     Drawing,
@@ -28,7 +28,7 @@ from identknee.report.presenter import (
 )
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
-from identknee.runs.schema import summary_of
+from identknee.runs.findings import Severity
 from identknee.runs.words import (
     amount,
     amplitude_label,
@@ -79,7 +79,8 @@ def verdict_sentence(answer: Diagnosis) -> str:
     if answer.verdict is Verdict.UNEXPLAINED and answer.line is not None:
         return f"{answer.sentence} {answer.line.sentence}"
     if answer.verdict is Verdict.NOT_TESTABLE:
-        return " ".join([answer.verdict.sentence, *answer.reasons])
+        found = [x.sentence for x in answer.findings if x.severity is Severity.ERROR]
+        return " ".join([answer.verdict.sentence, *(x for x in answer.reasons if x not in found)])
     return " ".join([answer.sentence, *untested])
 
 
@@ -472,12 +473,6 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
                         f"{owner}.{kind}",
                         Range(source=source, low=low, high=high, value=value, status=status),
                     )
-
-    @override
-    def next_tests(self, answer: Diagnosis) -> Iterator[str]:
-        if answer.advised_trials:
-            advice = "" if answer.advice is None else f" {answer.advice.sentence}"
-            yield f"{trial_list([summary_of(x) for x in answer.advised_trials])}.{advice}"
 
     @override
     def protocol(self, answer: Diagnosis) -> Protocol | None:

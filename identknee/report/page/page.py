@@ -112,6 +112,7 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     n_open += len(cautions) == n_open + 1
     figures = _figures(merged, number)
     made = [("answer", "The answer", parts().overview(main, cautions, n_open, level))]
+    sourced = _said_once(sourced, [main.verdict, *main.searches, *main.next_tests])
     for question in Question:
         own = [x for x in sourced if x[0].question is question and x[0].warning is None]
         leading = [x for x in own if x[0].is_answer] or own[:1]
@@ -127,6 +128,18 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     made.append(("further", "What further verbs would answer", further))
     shown = [(f"{key}-{number}", heading, content) for key, heading, content in made if content]
     return Markup(parts().subject(findings.title, shown, level))
+
+
+def _said_once(sourced: Iterable[Sourced], said: Iterable[str]) -> list[Sourced]:
+    """The statements, those said before without their sentence, or left out without numbers."""
+    before, kept = set(said), []
+    for statement, source in sourced:
+        is_new = statement.sentence not in before
+        if is_new or statement.tables:
+            own = statement if is_new else replace(statement, sentence="")
+            kept.append((own, source))
+        before.add(statement.sentence)
+    return kept
 
 
 def _heading(question: Question, main: Overview, findings: Findings) -> str:
@@ -146,19 +159,30 @@ def _heading(question: Question, main: Overview, findings: Findings) -> str:
 def _figures(findings: Findings, number: int) -> Mapping[Question, list[tuple[Markup, bool]]]:
     """The figures by the question they belong to, each with whether it is looked at first."""
     found = [
-        (shows.questions.get(x.name, shows.question), f"r{k}", x, i == 0 and not shows.is_folded)
+        (
+            shows.questions.get(x.name, shows.question),
+            f"r{k}",
+            x,
+            i == 0 and not shows.is_folded,
+            f"{_source(result)} ({result.folder.name})",
+        )
         for k, result in enumerate(progress(findings.results, description="drawing the report"))
         for shows in [presenter_of(result.answer)]
         for i, x in enumerate(drawings(result))
     ]
     found += [
-        (Question.LAXITY, f"l{k}", x, x.name != "laxity-all")
-        for k, (_, x) in enumerate(laxity_drawings(findings))
+        (Question.LAXITY, f"l{k}", x, x.name != "laxity-all", result.folder.name)
+        for k, (result, x) in enumerate(laxity_drawings(findings))
     ]
     placed: dict[Question, list[tuple[Markup, bool]]] = {}
-    for question, place, x, is_first in found:
+    explained: dict[str, tuple[str, str]] = {}
+    # In the order of the page: how to read a kind of figure is said at the first one.
+    for question, place, x, is_first, source in sorted(found, key=lambda x: not x[3]):
         svg = inline_svg(x.figure, f"s{number}{place}-{x.name}", x.description)
-        html = parts().figure(Markup(svg), x.caption)
+        first, other = explained.setdefault(x.caption, (place, source))
+        kind = capitalised(x.name.replace("-", " "))
+        again = f"{kind}, {source}: read like that of {other}."
+        html = parts().figure(Markup(svg), x.caption if first == place else again)
         placed.setdefault(question, []).append((html, is_first))
     return placed
 

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from identknee.checks.fit_checks import ligament_findings, ligament_loads
-from identknee.diagnosis.fitting import WIDER, fit_base, without_causes
+from identknee.diagnosis.fitting import (
+    WIDER_IF_IDLE,
+    fit_base,
+    without_causes,
+    without_idle_priors,
+)
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import load_protocol
@@ -41,9 +46,31 @@ def test_a_torn_ligament_is_no_misfit() -> None:
     prior = LaxityModel(knee=reference_knee(), protocol=load_protocol("seed63")).parameters
     own, fitted = found.base.fitted.model.parameters, found.base.fitted
     wider = own.prior_sd[: prior.n] / prior.prior_sd
-    np.testing.assert_allclose(wider, np.where([TORN in x for x in prior.names], WIDER, 1.0))
+    torn_ones = [TORN in x for x in prior.names]
+    np.testing.assert_allclose(wider, np.where(torn_ones, WIDER_IF_IDLE, 1.0))
     np.testing.assert_array_equal(own.center[: prior.n], prior.center)
     assert fitted.outcome is Outcome.MINIMUM
+
+
+def test_the_prior_of_an_absent_ligament_moves_the_knee_by_no_noise() -> None:
+    """Without an anterior cruciate a thousandth of its stiffness moves the knee by 2 sd."""
+    knee = reference_knee()
+    model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
+    theta = np.array(model.parameters.center)
+    theta[model.parameters.index(f"ACL.{STIFFNESS}")] = 0.0
+    laxity = add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=1)
+    found = fit_base(knee, laxity, starts=[], seed=0)
+    assert found is not None
+    pulls = []
+    for base in (found, without_idle_priors(found)):
+        fitted, data = base.fitted, slice(base.fitted.n_data)
+        column = fitted.evaluation.jacobian[data, fitted.model.parameters.index(f"ACL.{STIFFNESS}")]
+        # What data and prior pull by, in equilibrium at the fit, in units of the noise.
+        pulls.append(abs(column @ fitted.evaluation.residuals[data]) / np.linalg.norm(column))
+    fitted = without_idle_priors(found).fitted
+    assert fitted.theta[fitted.model.parameters.index(f"ACL.{STIFFNESS}")] < 1e-5
+    assert pulls[0] > 5.0
+    assert without_causes(without_idle_priors(found)).misfit_p_value > 0.05
 
 
 def test_the_extended_subject_keeps_its_own_priors() -> None:

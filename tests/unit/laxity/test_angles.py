@@ -288,6 +288,9 @@ def test_jumps_of_a_turn_in_a_series_are_given_back(tmp_path: Path) -> None:
         ("sep=;;;;", ";"),
         ("SEP=;", ";"),
         ("sep=\t", "\t"),
+        ("sep=|", "|"),
+        ("sep = ;", ";"),
+        ("sep=;\r", ";"),
     ],
 )
 def test_the_first_line_of_a_spreadsheet_says_what_stands_between_cells(
@@ -301,3 +304,15 @@ def test_the_first_line_of_a_spreadsheet_says_what_stands_between_cells(
     if separator != ",":
         path.write_text(f"{first}\n{header}\n{separator.join(('a', '30', '1,5'))}\n")
         assert read_laxity(path).coordinates[0, 4] == 1.5
+
+
+@pytest.mark.parametrize("first", ["sep=;", "sep=:", "sep=\t", "sep=*"])
+def test_a_first_line_that_the_table_does_not_follow_is_refused_as_such(
+    first: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f"{first}\ntrial,flexion_deg,internal_deg\na,30,1.5\n")
+    with pytest.raises(InputError) as caught:
+        read_laxity(path)
+    assert caught.value.where in ("row 1", "row 2")
+    assert repr(first[4:]) in caught.value.why

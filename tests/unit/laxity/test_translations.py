@@ -130,6 +130,16 @@ def test_files_state_their_definition(
     assert (apart < ROUNDING) == (definition == "components")
 
 
+@pytest.mark.parametrize("definition", DEFINITIONS)
+def test_a_table_of_so_many_decimals_is_the_same_to_the_last_bit(
+    definition: Translations, tmp_path: Path
+) -> None:
+    """On this knee rounding errors of 4e-15 mm led fits to other minima."""
+    measured = read_laxity("s192803")
+    path = write_laxity(measured, tmp_path / "a.csv", translations=definition)
+    np.testing.assert_array_equal(read_laxity(path).coordinates, measured.coordinates)
+
+
 def test_what_a_component_hangs_on_must_be_there(laxity: Laxity, tmp_path: Path) -> None:
     for column, refused in ((3, True), (2, True), (1, False)):
         coordinates = np.array(laxity.coordinates)

@@ -155,6 +155,10 @@ def test_answers_to_a_frame_are_those_to_its_file(
         (ik.isolability, "noise", NOISE, "0.5mm,0.25deg"),
         (ik.fit, "noise", np.array(NOISE), "0.5mm,0.25deg"),
         (ik.fit, "noise", None, None),
+        (ik.fit, "noise", {"mm": 0.5, "deg": 0.25}, "0.5mm,0.25deg"),
+        (ik.fit, "start", {NAME: 9.5}, {NAME: 9.5}),
+        (ik.profile, "start", pd.Series({NAME: 9.5}), {NAME: 9.5}),
+        (ik.diagnose, "start", "IG2", "IG2"),
     ],
 )
 def test_one_name_is_a_list_of_one_and_one_number_both_sizes_of_noise(
@@ -164,7 +168,10 @@ def test_one_name_is_a_list_of_one_and_one_number_both_sizes_of_noise(
     assert read_arguments(parameters_in_full(verb), arguments)[option] == expected
 
 
-@pytest.mark.parametrize("noise", [True, (0.3,), (0.3, 0.3, 0.3), -1.0, 0.0, float("nan"), {}])
+@pytest.mark.parametrize(
+    "noise",
+    [True, (0.3,), (0.3, 0.3, 0.3), -1.0, 0.0, float("nan"), {}, {"mm": 0.3}, {"a": 1, "b": 2}],
+)
 def test_what_is_no_size_of_noise_is_refused(noise: Any) -> None:
     with pytest.raises(ValueError, match="noise"):
         noise_words(noise)
@@ -185,6 +192,39 @@ def test_a_fit_starts_at_values_by_parameter_or_by_ligament(frame: pd.DataFrame)
         assert begun["ACL"]["stiffness_kN"] == 9.5
         assert begun["MCL"]["stiffness_kN"] == own["MCL"]
     assert ik.fit(knee, frame, start=answer.parameter_set, budget=1).objective <= answer.objective
+    again = ik.fit(knee, frame, start=answer, budget=1)
+    assert again.start_parameters == answer.parameters
+
+
+def test_a_fit_starts_where_one_with_stated_errors_ended(frame: pd.DataFrame) -> None:
+    """Its errors are none of the parameters of a knee whose errors are not stated."""
+    uncertain = ik.fit("reference", frame, uncertain="registration=1deg", budget=2, more_starts=0)
+    assert uncertain.nuisances
+    again = ik.fit("reference", frame, start=uncertain, budget=1)
+    for name, own in again.start_parameters.items():
+        assert own == uncertain.parameters[name]
+
+
+@pytest.mark.parametrize("start", [np.ones(8), [9.5, 8.0], 9.5, ik.reference_knee])
+def test_what_is_no_start_is_refused_with_what_is(start: Any, frame: pd.DataFrame) -> None:
+    with pytest.raises(ValueError, match=r"is no start; .*'ACL.stiffness_kN'"):
+        ik.fit("reference", frame, start=start)
+
+
+def test_data_frames_side_by_side_are_told_apart(frame: pd.DataFrame) -> None:
+    asked = {"subject": "reference", "data": [frame, frame.copy(), "few.csv"]}
+    tables = read_arguments(parameters_in_full(ik.fit), asked)["data"]
+    assert [x.protocol.name for x in tables[:2]] == ["DataFrame1", "DataFrame2"]
+    assert tables[2] == "few.csv"
+
+
+@pytest.mark.parametrize("protocol", ["drawer", "seed63", ik.load_protocol("table2")])
+def test_a_protocol_where_the_subject_belongs_is_named(protocol: Any) -> None:
+    for knee in ("reference", ik.reference_knee()):
+        with pytest.raises(ValueError, match="changed places"):
+            ik.simulate(protocol, knee)
+    with pytest.raises(ValueError, match="subject belongs"):
+        ik.simulate(protocol)
 
 
 @pytest.mark.parametrize(
