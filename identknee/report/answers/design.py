@@ -130,7 +130,9 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
     most = ("most of all", ("by", 1, "%"))
     order = " for its cost" if has_costs else ""
     steps = " ".join(
-        f"{capitalised(_step_words(answer, x))}: {_percent(x)}." for x in best.values()
+        f"{capitalised(_step_words(answer, x))}"
+        f"{sizes_words(answer.nuisances, x['name'])}: {_percent(x)}."
+        for x in best.values()
     )
     final = " A cut is final: make the trials before it first." if "cut" in best else ""
     yield Statement(
@@ -153,13 +155,13 @@ def _step_words(answer: Design, row: Mapping[str, Any]) -> str:
     if row["kind"] == "trial":
         return f"one more {_trial(answer, name)}"
     if row["kind"] == "error":
-        return f"the {error_words(name)} known twice as well{sizes_words(answer.nuisances, name)}"
+        return f"{error_words(name)} known twice as well"
     step = next(x for x in choice.steps if x.name == name)
     trial = _trial(answer, step.trial)
     if step.kind == "cut":
-        return f"the {step.structure} cut and {trial}"
-    what = f"tension of the {step.structure}" if step.kind == "force" else "contact forces"
-    return f"the {what} in {trial}"
+        return f"{step.structure} cut, {trial}"
+    what = f"{step.structure} tension" if step.kind == "force" else "contact forces"
+    return f"{what}, {trial}"
 
 
 def _most(answer: Design, row: dict[str, Any]) -> tuple[str, float]:
