@@ -106,6 +106,8 @@ def _off_their_course(laxity: Laxity) -> list[SuspiciousRow]:
 def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:
     """Which trials are called so, shape ``(n,)``; ``*`` in a name stands for any letters.
 
+    The name of an experiment stands for all of its trials.
+
     Raises
     ------
     ValueError
@@ -115,6 +117,8 @@ def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:
     found = np.zeros(laxity.n, bool)
     for name in names:
         own = np.array([fnmatch.fnmatchcase(x, name) for x in trials], bool)
+        if laxity.protocol.experiment is not None:
+            own |= np.array(laxity.protocol.experiment) == name
         if not own.any():
             raise ValueError(
                 f"{flag} {name}: there is no such trial. "

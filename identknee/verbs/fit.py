@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Unpack, get_args
 import numpy as np
 from scipy.special import stdtrit
 
+from identknee.calibrate.agreement import Agreement
 from identknee.calibrate.fit import (
     DEGREES,
     Fit,
@@ -40,6 +41,7 @@ from identknee.checks.fit_checks import (
     unstated_misfit_findings,
 )
 from identknee.checks.left_out_trials import named_trials
+from identknee.checks.term_agreement import agreement_findings, term_agreement
 from identknee.checks.usable_trials import (
     TrialSearch,
     TrialSelection,
@@ -361,6 +363,10 @@ class Calibration(SimulatedLaxity):
     optima: tuple[Optimum, ...] = entry(
         "Other ends that fit as well at the 95 % level", rows="optimum", group="optima", default=()
     )
+    agreement: Agreement | None = entry(
+        "Whether experiments, states and forces agree; null where the data have one term",
+        default=None,
+    )
     compared_forces: ComparedForces | None = entry(
         "Measured forces, and what the fit predicts of them",
         group="compared_forces",
@@ -560,6 +566,10 @@ def fit(
             kept = measured.select(is_held)
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
+    whole = with_all_priors(problem) if is_with_priors else problem
+    compared = None
+    if weighting == "noise" and not is_robust and np.isfinite(found.objective):
+        compared = term_agreement(whole, used.laxity, found.theta, seed=seed)
     return Calibration(
         **simulated(model, prediction),
         start=start_word(start),
@@ -573,13 +583,12 @@ def fit(
         compared_forces=None
         if found.outcome is Outcome.START_FAILED
         else compared_forces(problem, found.theta),
-        evidence=evidence_terms(
-            with_all_priors(problem) if is_with_priors else problem, found.theta
-        ),
+        evidence=evidence_terms(whole, found.theta),
+        agreement=compared,
         assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
-        findings=_findings(trials, used, fits, prediction, error),
+        findings=_findings(trials, used, fits, prediction, error, agreement_findings(compared)),
     )
 
 
@@ -609,8 +618,9 @@ def _findings(
     fits: Sequence[Fit],
     prediction: Prediction,
     error: LaxityError,
+    others: tuple[Finding, ...],
 ) -> tuple[Finding, ...]:
-    """Findings about a fit, the first of several."""
+    """Findings about a fit, the first of several, beside others about it."""
     found = fits[0]
     model, table, laxity = trials.model, trials.laxity, used.laxity
     lost = excluded_trial_findings(model.knee, table, laxity)
@@ -639,4 +649,4 @@ def _findings(
         np.array([x.deviance for x in fits]) / _scale(trials, laxity, found),
         found.parameters,
     )
-    return check_fit(fitted, (*lost, *few, *starts))
+    return check_fit(fitted, (*lost, *few, *starts, *others))

@@ -73,6 +73,16 @@ def evidence_tables(answer: Calibration) -> Iterator[Table]:
         )
 
 
+def agreement_tables(answer: Calibration) -> Iterator[Table]:
+    """How each experiment, state or kind of force is fitted with the others and alone."""
+    if (found := answer.agreement) is not None:
+        yield table(
+            f"Terms together and alone (p = {found.p_value:.2g} if they agree)",
+            ("term", ("values", 0), ("together", 1), ("alone", 1), ("p", 3)),
+            ((x.name, x.n, x.together, x.alone, x.p_value) for x in found.terms),
+        )
+
+
 def optima_tables(answer: Calibration) -> Iterator[Table]:
     """Other parameter sets that fit as well, by the force in which they differ most."""
     if answer.optima:
@@ -138,6 +148,7 @@ class CalibrationPresenter(Presenter[Calibration]):
                 ),
             ),
             *evidence_tables(answer),
+            *agreement_tables(answer),
             *nuisance_tables(answer),
             *optima_tables(answer),
             is_answer=True,

@@ -1,0 +1,164 @@
+"""Whether terms of the evidence agree: experiments, states and forces fitted together and alone.
+
+References
+----------
+.. [1] Maltoni and Schwetz (2003), Phys. Rev. D 68, 033020, equation 8.
+       https://doi.org/10.1103/PhysRevD.68.033020
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import Problem, n_prior_rows, sum_of_squares
+from identknee.model.parameters import Parameters
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
+
+N_DRAWS, BUDGET = 1999, 60
+# Columns of a Jacobian that are shorter than this share of the longest have no effect.
+NO_EFFECT = 1e-9
+
+
+@declared
+class TermAgreement:
+    """How one term of the evidence is fitted together with the others, and alone."""
+
+    name: str = entry("Name of the term")
+    n: int = entry("Number of values", unit="1")
+    together: float = entry("Its deviance at the fit to all terms, with the priors", unit="1")
+    alone: float = entry("The least deviance of it and the priors alone", unit="1")
+    p_value: float = entry(
+        "How often terms that agree differ so far in this one, by the linear model", unit="1"
+    )
+
+    @property
+    def rise(self) -> float:
+        """How much better it is fitted alone."""
+        return self.together - self.alone
+
+
+@declared
+class Agreement:
+    """Whether the terms of the evidence agree in the parameters that they share."""
+
+    terms: tuple[TermAgreement, ...] = entry("The terms")
+    difference: float = entry(
+        "Deviance of the fit to all less those of the fits to each, with the priors once in each",
+        unit="1",
+    )
+    p_value: float = entry("How often terms that agree differ so far", unit="1")
+    inflation: float = entry(
+        "Factor of the variance of the noise that the fits to single terms show; at least 1",
+        unit="1",
+    )
+
+    @property
+    def worst(self) -> TermAgreement:
+        """The term that is least likely to agree with the others."""
+        return min(self.terms, key=lambda x: (x.p_value, -x.rise))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    """Some of the residuals of a problem."""
+
+    problem: Problem
+    rows: IntArray
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        return np.asarray(self.problem.residuals(theta)[self.rows])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.asarray(self.problem.jacobian(theta)[self.rows])
+
+
+def agreement(
+    problem: Problem, theta: Array, terms: Mapping[str, IntArray], *, seed: int = 0
+) -> Agreement:
+    """Compare the fit to all terms with the fits to each, the parameter goodness of fit of [1]_.
+
+    Each term is fitted from the fit to all, with a copy of all parameters and their priors of its
+    own. How far terms that agree would differ is drawn from the model linear at the fit to all,
+    where parameters at a bound stay. If the terms are not even fitted alone, the noise counts as
+    larger, as they show it.
+
+    Parameters
+    ----------
+    problem
+        Residuals in units of their noise, those of priors last.
+    theta
+        The best fit to all, shape ``(p,)``.
+    terms
+        Which residuals each term has, by its name; two or more.
+    seed
+        Of the draws.
+    """
+    residuals, jacobian = problem.residuals(theta), problem.jacobian(theta)
+    m = residuals.size - n_prior_rows(problem)
+    priors = np.arange(m, residuals.size)
+    places = {name: np.r_[rows, priors] for name, rows in terms.items()}
+    used = np.r_[np.concatenate(list(terms.values())), priors]
+    alone = {
+        name: min(
+            2.0 * fit(_Rows(problem=problem, rows=rows), theta, budget=BUDGET).objective,
+            sum_of_squares(residuals[rows]),
+        )
+        for name, rows in places.items()
+    }
+    together = {name: sum_of_squares(residuals[rows]) for name, rows in places.items()}
+    own = problem.parameters
+    is_free = (theta > own.lower) & (theta < own.upper)
+    bases = {name: _basis(jacobian[rows]) for name, rows in places.items()}
+    whole = _basis(jacobian[used][:, is_free])
+    degrees = sum(rows.size - bases[name].shape[1] for name, rows in places.items())
+    inflation = max(1.0, sum(alone.values()) / max(degrees, 1))
+    drawn = np.random.default_rng(seed).standard_normal((residuals.size, N_DRAWS))
+    left = np.array(drawn)
+    left[used] -= whole @ (whole.T @ drawn[used])
+    rises = {
+        name: np.sum(left[rows] ** 2, axis=0)
+        - np.sum(drawn[rows] ** 2, axis=0)
+        + np.sum((bases[name].T @ drawn[rows]) ** 2, axis=0)
+        for name, rows in places.items()
+    }
+    # Priors count in every term alone, and once together.
+    repeated = (len(places) - 1) * np.sum(left[priors] ** 2, axis=0)
+    repeated_here = (len(places) - 1) * sum_of_squares(residuals[priors])
+    difference = sum(together[x] - alone[x] for x in places) - repeated_here
+    return Agreement(
+        terms=tuple(
+            TermAgreement(
+                name=name,
+                n=len(terms[name]),
+                together=together[name],
+                alone=alone[name],
+                p_value=_share(rises[name], (together[name] - alone[name]) / inflation),
+            )
+            for name in places
+        ),
+        difference=difference,
+        p_value=_share(np.sum(list(rises.values()), axis=0) - repeated, difference / inflation),
+        inflation=inflation,
+    )
+
+
+def _basis(jacobian: Array) -> Array:
+    """Orthonormal directions of residuals that parameters can change, shape ``(m, r)``."""
+    lengths = np.linalg.norm(jacobian, axis=0)
+    columns = jacobian[:, lengths > NO_EFFECT * lengths.max(initial=0.0)]
+    if not columns.size:
+        return np.zeros((len(jacobian), 0))
+    scaled = columns / np.linalg.norm(columns, axis=0)
+    left, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(left[:, sizes > NO_EFFECT * sizes[0]])
+
+
+def _share(drawn: Array, found: float) -> float:
+    return float((1 + np.sum(drawn >= found)) / (1 + drawn.size))
