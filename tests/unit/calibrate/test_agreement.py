@@ -18,7 +18,9 @@ MATRIX = np.random.default_rng(1).normal(size=(2 * N, P))
 
 def _found(data: Array) -> Agreement:
     problem = Linear(parameters=plain_parameters(P, -50.0, 50.0), matrix=MATRIX, data=data)
-    return agreement(problem, np.linalg.lstsq(MATRIX, data)[0], TERMS, seed=3)
+    return agreement(
+        problem, np.asarray(np.linalg.lstsq(MATRIX, data)[0], np.float64), TERMS, seed=3
+    )
 
 
 def _least(matrix: Array, data: Array) -> float:
@@ -63,7 +65,7 @@ def test_the_term_that_stands_apart_is_named() -> None:
     data = rng.normal(size=3 * N)
     data[N : 2 * N] += 4.0 * MATRIX[N:, 0]
     problem = Linear(parameters=plain_parameters(P, -50.0, 50.0), matrix=matrix, data=data)
-    theta = np.linalg.lstsq(matrix, data)[0]
+    theta = np.asarray(np.linalg.lstsq(matrix, data)[0], np.float64)
     found = agreement(problem, theta, terms)
     assert found.p_value < 1e-3
     assert found.worst.name == "other"
@@ -80,7 +82,7 @@ def test_a_parameter_at_its_bound_adds_a_degree_of_freedom() -> None:
     )
     lower = np.array([0.0, -50.0, -50.0])
     problem = replace(problem, parameters=replace(problem.parameters, lower=lower))
-    theta = lsq_linear(MATRIX, data, bounds=(lower, 50.0), method="bvls").x
+    theta = lsq_linear(MATRIX, data, bounds=(lower, 50.0), method="bvls").x.astype(np.float64)
     assert theta[0] == 0.0
     found = agreement(problem, theta, TERMS, seed=3)
     p = chi2.sf(found.difference / found.inflation, P + 1)
