@@ -455,7 +455,7 @@ def fit(
         option(
             "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
             "divided by the {sd_} columns.",
-            in_python="Always noise with {--noise}.",
+            in_python="Always noise with {--noise}, with forces and with several experiments.",
         ),
     ] = "unit",
     noise: options.Noise = None,
@@ -516,8 +516,8 @@ def fit(
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
-    elif measured.has_forces and measured.sd is not None:
-        # Forces and coordinates count together in units of their noise alone.
+    elif measured.sd is not None and (measured.has_forces or measured.protocol.experiments):
+        # Forces and coordinates, or rigs of different noise, count together in its units alone.
         weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
