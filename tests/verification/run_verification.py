@@ -39,6 +39,7 @@ MODULES = {
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
     "forecast": "verify_forecast",
+    "states": "verify_states",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
