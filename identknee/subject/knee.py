@@ -131,7 +131,12 @@ class Uncertainty:
                 "uncertainty with --uncertain, for example --uncertain insertions=2mm."
             )
         uncertain = [f"{meanings[name]} ({x})" for name, x in self.words.items() if x != "exact"]
-        rest = [meanings[name] for name, x in self.words.items() if x == "exact"]
+        # What changes between states means nothing where there is one alone.
+        rest = [
+            meanings[name]
+            for name, x in self.words.items()
+            if x == "exact" and not name.startswith("state_")
+        ]
         exact = f" As exact: {', '.join(rest)}." if rest else ""
         return f"Taken as uncertain: {', '.join(uncertain)}.{exact}"
 

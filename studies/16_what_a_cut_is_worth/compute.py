@@ -1,0 +1,126 @@
+"""Slow part of the study: intervals of every parameter after each way to spend the same trials.
+
+Writes ``records/what_a_cut_is_worth.json``. Finished cases are kept in a store outside the
+checkout, so that the same command resumes where it was stopped.
+"""
+
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+from common.records import (
+    Row,
+    begun,
+    parsed_options,
+    rounded,
+    say,
+    study_knee,
+    working,
+    write_record,
+)
+
+import identknee as ik
+from identknee.laxity.forces import MeasuredForces
+from identknee.laxity.protocol import concatenate
+from identknee.model.contact_loads import contact_values
+from identknee.model.line_loads import structure_values
+from identknee.subject.knee import Uncertainty
+
+KNEES = ("reference", "lenhart2015_stable")
+LIGAMENTS = ("ACL", "PCL", "LCL", "MCL")
+PROTOCOL, NOISE, INSERTIONS_MM = "table2", 0.5, 2.0
+TENSION_SD, CONTACT_SD = 5.0, 20.0
+# States in which the protocol is done, and what is measured beside the pose in the last of them.
+PLANS: dict[str, tuple[tuple[str, ...], str]] = {
+    "intact": (("intact",) * 3, ""),
+    "ACL cut": (("intact", "intact", "cut: ACL"), ""),
+    "ACL, then MCL cut": (("intact", "cut: ACL", "cut: ACL, MCL"), ""),
+    "in-situ forces": (("intact",) * 3, "tension"),
+    "contact forces": (("intact",) * 3, "contact"),
+}
+DIGITS = 5
+
+
+def main() -> None:
+    """Compute what the store does not hold yet and write the record."""
+    options = parsed_options(__file__, "one knee, two plans")
+    names = KNEES[:1] if options.quick else KNEES
+    plans = list(PLANS)[:2] if options.quick else list(PLANS)
+    record = begun(
+        options,
+        names,
+        protocol=PROTOCOL,
+        noise=NOISE,
+        insertions_mm=INSERTIONS_MM,
+        tension_sd_N=TENSION_SD,
+        contact_sd_N=CONTACT_SD,
+    )
+    tasks = [{"knee": name, "plan": plan} for name in names for plan in plans]
+    began = time.perf_counter()
+    known = {"inputs": record["head"]["inputs"], "plans": {x: list(PLANS[x][0]) for x in plans}}
+    with working(options, **known) as kept:
+        rows = kept(partial(plan_row), tasks, "plans")
+    for name in names:
+        own = [x for x, task in zip(rows, tasks, strict=True) if task["knee"] == name]
+        record["knees"][name] = {"plans": own}
+    record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
+    write_record(options.record, record)
+    say(f"written: {options.record.name}, {len(rows)} plans")
+
+
+def plan_row(task: Row) -> Row:
+    """Intervals of all parameters after one plan on one knee."""
+    knee = study_subject(task["knee"])
+    laxity = planned_laxity(knee, *PLANS[task["plan"]])
+    found = ik.profile(knee, laxity)
+    ends = {name: [x.lower, x.upper] for name, x in found.parameters.items()}
+    row: Row = rounded({"plan": task["plan"], "n_trials": laxity.n, "ends": ends}, DIGITS)
+    return row
+
+
+def study_subject(name: str) -> ik.Knee:
+    """A knee with a capsule, the insertions of its four ligaments known to 2 mm."""
+    spreads = {x: {"femur": INSERTIONS_MM, "tibia": INSERTIONS_MM} for x in LIGAMENTS}
+    knee = ik.subject.with_capsule(study_knee(name))
+    return knee.with_uncertainty(Uncertainty(insertions_mm=spreads))
+
+
+def planned_laxity(knee: ik.Knee, states: tuple[str, ...], measured: str) -> ik.Laxity:
+    """What a plan would measure of the knee, without noise; trials that do not hold are missing."""
+    base = ik.load_protocol(PROTOCOL)
+    protocol = concatenate(
+        [
+            replace(base, trials=tuple(f"{x}_{k}" for x in base.trials), state=(state,) * base.n)
+            for k, state in enumerate(states)
+        ],
+        name="plan",
+    )
+    model = ik.LaxityModel(knee=knee, protocol=protocol)
+    prediction = model.predict(model.parameters.start)
+    laxity = replace(model.simulate(model.parameters.start), sd=np.full((protocol.n, 5), NOISE))
+    if measured == "tension":
+        forces = {f"{x}.tension_N": structure_values(model, prediction, x)[0] for x in LIGAMENTS}
+        laxity = replace(laxity, forces=_in_last(forces, base.n, TENSION_SD))
+    elif measured == "contact":
+        values = contact_values(prediction)[:, :, 0].T
+        forces = dict(zip(("contact.medial_N", "contact.lateral_N"), values, strict=True))
+        laxity = replace(laxity, forces=_in_last(forces, base.n, CONTACT_SD))
+    return laxity.select(np.flatnonzero(laxity.is_measured.all(axis=1)))
+
+
+def _in_last(forces: dict[str, ik.runs.Array], n: int, sd: float) -> MeasuredForces:
+    """Forces that are measured in the last n trials alone."""
+    values = np.column_stack(list(forces.values()))
+    values[:-n] = np.nan
+    return MeasuredForces(
+        names=tuple(forces), values=values, sd=np.where(np.isnan(values), np.nan, sd)
+    )
+
+
+if __name__ == "__main__":
+    main()
