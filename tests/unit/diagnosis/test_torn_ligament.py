@@ -52,25 +52,21 @@ def test_a_torn_ligament_is_no_misfit() -> None:
     assert fitted.outcome is Outcome.MINIMUM
 
 
-def test_the_prior_of_an_absent_ligament_moves_the_knee_by_no_noise() -> None:
-    """Without an anterior cruciate a thousandth of its stiffness moves the knee by 2 sd."""
+@pytest.mark.parametrize("absent", ["ACL", "PCL", "LCL"])
+def test_the_prior_of_an_absent_ligament_moves_the_knee_by_no_noise(absent: str) -> None:
+    """Without it the knee is unstable in most trials, and cliffs bar the way to its stiffness."""
     knee = reference_knee()
     model = LaxityModel(knee=knee, protocol=load_protocol("seed63"))
     theta = np.array(model.parameters.center)
-    theta[model.parameters.index(f"ACL.{STIFFNESS}")] = 0.0
+    theta[model.parameters.index(f"{absent}.{STIFFNESS}")] = 0.0
     laxity = add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=1)
-    found = fit_base(knee, laxity, starts=[], seed=0)
-    assert found is not None
-    pulls = []
-    for base in (found, without_idle_priors(found)):
-        fitted, data = base.fitted, slice(base.fitted.n_data)
-        column = fitted.evaluation.jacobian[data, fitted.model.parameters.index(f"ACL.{STIFFNESS}")]
-        # What data and prior pull by, in equilibrium at the fit, in units of the noise.
-        pulls.append(abs(column @ fitted.evaluation.residuals[data]) / np.linalg.norm(column))
-    fitted = without_idle_priors(found).fitted
-    assert fitted.theta[fitted.model.parameters.index(f"ACL.{STIFFNESS}")] < 1e-5
-    assert pulls[0] > 5.0
-    assert without_causes(without_idle_priors(found)).misfit_p_value > 0.05
+    begun = fit_base(knee, laxity, starts=[], seed=0)
+    assert begun is not None
+    found = without_idle_priors(begun)
+    fitted = found.fitted
+    assert fitted.theta[fitted.model.parameters.index(f"{absent}.{STIFFNESS}")] < 1e-4
+    assert not fitted.is_refuted.any()
+    assert without_causes(found).misfit_p_value > 0.05
 
 
 def test_the_extended_subject_keeps_its_own_priors() -> None:
