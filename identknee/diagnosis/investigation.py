@@ -10,6 +10,7 @@ from identknee.checks.data_noise import DataNoise
 from identknee.checks.fit_checks import (
     bound_findings,
     ligament_findings,
+    ligament_loads,
     parameters_at_zero,
 )
 from identknee.checks.subject_checks import stability_findings
@@ -53,6 +54,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.progress import stage
@@ -193,9 +195,16 @@ class Investigation:
         # No bound stopped a part of the cause that is absent.
         amplitudes = parameters.names[fitted.model.n_ligament_parameters :]
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
-        held = (*parameters.nuisance_names, *absent)
-        findings += bound_findings(fitted.theta, parameters, held)
         found = fitted.model.predict_once(fitted.theta)
+        # Nor does one of a ligament that carries nothing limit the fit.
+        idle = (
+            f"{x.name}.{quantity}"
+            for x in ligament_loads(fitted.model, found)
+            if x.is_idle
+            for quantity in (STIFFNESS, STRAIN)
+        )
+        held = (*parameters.nuisance_names, *absent, *idle)
+        findings += bound_findings(fitted.theta, parameters, held)
         findings += ligament_findings(fitted.model, found)
         findings += fitted.nuisance_findings
         findings += [

@@ -46,6 +46,22 @@ def is_from_straight(values: Array) -> bool:
     return bool(beyond.any() and np.all((counted >= low) & (counted <= high)))
 
 
+def is_negative(values: Array) -> bool:
+    """Whether flexion angles [deg] are those of a knee that flexes towards negative angles.
+
+    All of them are such angles, and some can be nothing else.
+
+    Examples
+    --------
+    >>> is_negative(np.array([2.0, -30.0, -90.0])), is_negative(np.array([-30.0, 60.0]))
+    (True, False)
+    """
+    known = values[~np.isnan(values)]
+    low, high = FLEXION_LIMITS_DEG
+    turned = known + flexion_turns(known)
+    return bool((turned < low).any() and np.all((-turned >= low) & (-turned <= high)))
+
+
 def coordinate_turns(values: Array) -> Array:
     """What to add to each value of an angle [deg] so that the column has no jump of a whole turn.
 

@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.angles import coordinate_turns, flexion_turns, is_from_straight
+from identknee.laxity.angles import (
+    coordinate_turns,
+    flexion_turns,
+    is_from_straight,
+    is_negative,
+)
 from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.experiments import cuts_of, state_words
 from identknee.laxity.forces import (
@@ -509,6 +514,20 @@ def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
     return names, rows, {}
 
 
+def _check_counting(file: CellFile, rows: Sequence[TableRow], values: Array) -> None:
+    """Refuse flexion that is 180 deg in a straight knee, or negative, and say what reads it."""
+    own = file.sources.get(FLEXION, (FLEXION, 1.0, 0.0))[0]
+    ways = (
+        (is_from_straight, np.nanargmax, "counts from a straight knee at 180 deg", f"180 - {own}"),
+        (is_negative, np.nanargmin, "grows towards negative angles", f"-1 * {own}"),
+    )
+    for is_so, place, how, line in ways:
+        if is_so(values):
+            row = rows[int(place(values))]
+            why = f"flexion {how}, here {row.number(FLEXION):g} deg"
+            row.refuse(FLEXION, why, f"Write as a line of the file: # column: {FLEXION} = {line}")
+
+
 def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
     """Add to angles the whole turns that cut them off, and refuse flexion from a straight knee."""
     for column in (FLEXION, *(x for x in COORDINATES if x.endswith("_deg"))):
@@ -520,13 +539,8 @@ def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
                 "no line inDegrees says how angles are counted, and in radians these are too large"
             )
             file.refuse(1, column, why, "Write inDegrees=yes above endheader if they are degrees.")
-        if column == FLEXION and is_from_straight(values):
-            own = file.sources.get(column, (column, 1.0, 0.0))[0]
-            row = rows[int(np.nanargmax(values))]
-            why = f"flexion counts from a straight knee at 180 deg, here {row.number(column):g} deg"
-            row.refuse(
-                column, why, f"Write as a line of the file: # column: {column} = 180 - {own}"
-            )
+        if column == FLEXION:
+            _check_counting(file, rows, values)
         turns = (flexion_turns if column == FLEXION else coordinate_turns)(values)
         if turned := np.flatnonzero(turns).tolist():
             file.turns |= {(rows[i].line, column): turns[i] for i in turned}

@@ -410,6 +410,7 @@ class Overview:
     verdict: str = entry(
         "One sentence or two; empty where no result says anything of parameters or model"
     )
+    said: tuple[str, ...] = entry("The sentences of the verdict, one by one")
     tone: Tone = entry("How it is meant")
     opening: Opening = entry("What comes before it where a fit is rejected or implausible")
     rows: tuple[Row, ...] = entry("Parameters, then forces")
@@ -442,12 +443,14 @@ def overview(answers: Sequence[Answer]) -> Overview:
         x for x in answers if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
     )
     parameters = [x for x in rows if "@" not in x.name]
-    sentence, tone = _verdict(parameters, diagnosis, differ, opening)
+    sentences, tone = _verdict(parameters, diagnosis, differ, opening)
     shown = [presenter_of(x).headline(x) for x in answers]
+    said = tuple(x for x in (*shown, *sentences) if x)
     if opening.sentences:
         tone = Tone.WRONG
     return Overview(
-        verdict=" ".join(x for x in (*shown, sentence) if x),
+        verdict=" ".join(said),
+        said=said,
         tone=tone,
         opening=opening,
         rows=rows,
@@ -489,7 +492,7 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
 
 def _verdict(
     rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str, opening: Opening
-) -> tuple[str, Tone]:
+) -> tuple[list[str], Tone]:
     """One sentence or two, and the worst of what they say."""
     model, tone = _model(diagnosis)
     unknown = [x for x in rows if x.status not in KNOWN]
@@ -505,7 +508,7 @@ def _verdict(
         sentences.append(
             f"However, {listed(doubts)}." if sentences else f"{capitalised(listed(doubts))}."
         )
-    return " ".join(sentences), tone
+    return sentences, tone
 
 
 def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:

@@ -98,14 +98,20 @@ def _bodies_of(bones: Bones, force: Element) -> set[str]:
 def _motion(bones: Bones) -> Iterator[NotTaken]:
     """What the joint states of the knee's motion that is not in it."""
     joint = bones.joint.element
+    axes = joint.findall("SpatialTransform/TransformAxis")
+    driven = [(x.findtext("coordinates") or "").split() for x in axes]
+    units = {
+        name: " m" if (x.get("name") or "").startswith("translation") else " rad"
+        for x, own in zip(axes, driven, strict=True)
+        for name in own
+    }
     for x in joint.iterfind("coordinates/Coordinate"):
         default = float((x.findtext("default_value") or "0").split()[0])
         if default:
-            yield remark(x, f"it is taken as zero, not as its default {default:g}", "changed")
+            said = f"{default:g}{units.get(x.get('name', ''), '')}"
+            yield remark(x, f"it is taken as zero, not as its default {said}", "changed")
         if (x.findtext("locked") or "").strip() == "true":
             yield remark(x, "it is locked in the model, and free here", "changed")
-    axes = joint.findall("SpatialTransform/TransformAxis")
-    driven = [(x.findtext("coordinates") or "").split() for x in axes]
     several = {name for own in driven for name in own if sum(name in x for x in driven) > 1}
     for x, own in zip(axes, driven, strict=True):
         functions = {y.tag for y in x if y.tag.endswith((*LINEAR, "Function", "Spline"))}

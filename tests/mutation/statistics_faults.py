@@ -594,7 +594,7 @@ NAMING = (
         "gone[stiffness], gone[strain] = (NEARLY_GONE * p.center[stiffness], p.center[strain])",
         "continue",
         "the prior of a torn ligament still gives it a load",
-        "tests/unit/diagnosis/test_torn_ligament.py::test_a_torn_ligament_is_no_misfit",
+        "tests/unit/diagnosis/test_torn_ligament.py::test_the_prior_of_an_absent_ligament_moves_the_knee_by_no_noise",
     ),
     fault(
         "identknee/diagnosis/verdict.py",

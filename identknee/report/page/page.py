@@ -112,7 +112,7 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     n_open += len(cautions) == n_open + 1
     figures = _figures(merged, number)
     made = [("answer", "The answer", parts().overview(main, cautions, n_open, level))]
-    sourced = _said_once(sourced, [main.verdict, *main.searches, *main.next_tests])
+    sourced = _said_once(sourced, [*main.said, *main.searches, *main.next_tests])
     for question in Question:
         own = [x for x in sourced if x[0].question is question and x[0].warning is None]
         leading = [x for x in own if x[0].is_answer] or own[:1]

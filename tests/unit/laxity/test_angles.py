@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from identknee.checks.left_out_trials import trials_asked
-from identknee.laxity.angles import coordinate_turns, flexion_turns, is_from_straight
+from identknee.laxity.angles import (
+    coordinate_turns,
+    flexion_turns,
+    is_from_straight,
+    is_negative,
+)
 from identknee.laxity.table import COORDINATES, Laxity, read_laxity
 from identknee.runs.errors import InputError
 
@@ -101,6 +106,26 @@ def test_flexion_from_a_straight_knee_is_named_with_the_line_that_reads_it(
     turned = 180.0 - given
     expected = turned - 360.0 * (turned > 180.0)
     np.testing.assert_allclose(read.protocol.flexion_deg, expected, atol=EXACT)
+
+
+@pytest.mark.parametrize("some", [slice(None), slice(1, 3), slice(None, None, -1)])
+def test_flexion_towards_negative_angles_is_named_with_the_line_that_reads_it(
+    some: slice, tmp_path: Path
+) -> None:
+    given = -FLEXION[some]
+    zeros = np.zeros(len(given))
+    assert is_negative(given)
+    with pytest.raises(InputError) as caught:
+        read_laxity(table(tmp_path, given, zeros))
+    line = "# column: flexion_deg = -1 * flexion_deg"
+    assert line in caught.value.remedy
+    read = read_laxity(table(tmp_path, given, zeros, head=line))
+    np.testing.assert_allclose(read.protocol.flexion_deg, -given, atol=EXACT)
+
+
+@pytest.mark.parametrize("flexion", [[-30.0, 60.0], [-8.0, -2.0], [-30.0, -200.0], [-9.0, 90.0]])
+def test_one_negative_flexion_is_no_other_sign(flexion: list[float]) -> None:
+    assert not is_negative(np.array(flexion))
 
 
 @pytest.mark.parametrize(

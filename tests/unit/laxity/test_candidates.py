@@ -128,7 +128,7 @@ def test_a_small_load_held_beside_a_large_one_keeps_its_sign() -> None:
     made = Protocol(
         name="held",
         trials=tuple("abcdef"),
-        flexion_deg=30.0 + 0.1 * np.arange(6),
+        flexion_deg=30.0 + 0.1 * np.arange(6, dtype=np.float64),
         loads=loads,
     )
     _, _, meant = nominal_trials(made)

@@ -69,6 +69,18 @@ def test_a_ligament_that_applies_no_force_is_left_out(
     assert "ACL" in found.knee.description
 
 
+@pytest.mark.parametrize("word", ["true", "True ", "1"])
+def test_a_ligament_disabled_as_before_opensim_4_is_left_out(
+    tmp_path: Path, knee: Knee, word: str
+) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: x.replace("<linear_st", f"<isDisabled>{word}</isDisabled><linear_st"),
+    )
+    assert [x.name for x in imported_knee(path).knee.ligaments] == ["PCL", "LCL", "MCL"]
+
+
 def test_one_that_applies_its_force_is_no_remark(tmp_path: Path, knee: Knee) -> None:
     path = changed(
         write_model(tmp_path, knee),

@@ -192,7 +192,8 @@ def test_a_fit_starts_at_values_by_parameter_or_by_ligament(frame: pd.DataFrame)
         assert begun["ACL"]["stiffness_kN"] == 9.5
         assert begun["MCL"]["stiffness_kN"] == own["MCL"]
     assert ik.fit(knee, frame, start=answer.parameter_set, budget=1).objective <= answer.objective
-    again = ik.fit(knee, frame, start=answer, budget=1)
+    begin: Any = answer
+    again = ik.fit(knee, frame, start=begin, budget=1)
     assert again.start_parameters == answer.parameters
 
 
@@ -200,7 +201,8 @@ def test_a_fit_starts_where_one_with_stated_errors_ended(frame: pd.DataFrame) ->
     """Its errors are none of the parameters of a knee whose errors are not stated."""
     uncertain = ik.fit("reference", frame, uncertain="registration=1deg", budget=2, more_starts=0)
     assert uncertain.nuisances
-    again = ik.fit("reference", frame, start=uncertain, budget=1)
+    begin: Any = uncertain
+    again = ik.fit("reference", frame, start=begin, budget=1)
     for name, own in again.start_parameters.items():
         assert own == uncertain.parameters[name]
 
@@ -220,7 +222,8 @@ def test_data_frames_side_by_side_are_told_apart(frame: pd.DataFrame) -> None:
 
 @pytest.mark.parametrize("protocol", ["drawer", "seed63", ik.load_protocol("table2")])
 def test_a_protocol_where_the_subject_belongs_is_named(protocol: Any) -> None:
-    for knee in ("reference", ik.reference_knee()):
+    exchanged: list[Any] = ["reference", ik.reference_knee()]
+    for knee in exchanged:
         with pytest.raises(ValueError, match="changed places"):
             ik.simulate(protocol, knee)
     with pytest.raises(ValueError, match="subject belongs"):
