@@ -22,7 +22,7 @@ from identknee.model.nuisances import CELL
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.model.structure_wrenches import StructureWrenches, structure_wrenches
-from identknee.runs.arrays import Array, BoolArray, short_repr
+from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.errors import ValueRefused
 
 FORCE, N_COMPONENTS = slice(0, 3), len(WRENCH)
@@ -89,6 +89,11 @@ class SuperpositionResiduals:
     def n(self) -> int:
         """How many values were measured."""
         return self.superposition.n_values
+
+    @property
+    def trials(self) -> IntArray:
+        """The trial of each, shape ``(n,)``."""
+        return np.array(self._trials)[np.nonzero(self.superposition.is_measured)[0]]
 
     def predicted(self, theta: Array) -> Array:
         """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
