@@ -180,8 +180,7 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
     held = named_trials(laxity, held_out, "--hold-out")
     if not (laxity.is_measured.any(axis=1) & ~held).any():
         raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
-    blank = np.where(held[:, None], np.nan, laxity.coordinates)
-    return (replace(laxity, coordinates=blank) if held.any() else laxity), held
+    return laxity.without(held), held
 
 
 def predicted(
