@@ -80,6 +80,13 @@ def test_a_constant_error_of_the_cell_adds_to_every_reading_of_its_rig() -> None
     np.testing.assert_allclose(moved[:, :6], expected, atol=1e-9)
 
 
+def test_a_cell_leaves_the_names_of_other_errors() -> None:
+    knee = ik.reference_knee().with_uncertainty(Uncertainty(registration_deg=2.0))
+    names = _model(knee).parameters.nuisance_names
+    assert names[0] == "registration.femur_x_deg"
+    assert names[-1] == "robot/load_cell.moment_z_Nm"
+
+
 def _covariance(problem: SuperpositionResiduals) -> Array:
     """Covariance of the values that the residuals are whitened by."""
     model = problem.model
