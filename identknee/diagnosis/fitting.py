@@ -43,7 +43,7 @@ from identknee.identify.optimum import (
 )
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import Effect, is_error_of_rig
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
@@ -597,15 +597,18 @@ class Refit:
         twice. A search starts at the fit with `fitted_values`.
         """
         model, p = self.fitted.model, self.fitted.model.parameters
-        places = [[p.index(name) for name in x.parameters.names] for x in model.effects]
+        effects = [x for x in model.effects if not is_error_of_rig(x)]
+        places = [[p.index(name) for name in x.parameters.names] for x in effects]
         values = [np.asarray(self.fitted.theta[x]) for x in places]
-        return knee_with_effects(model.knee, list(zip(model.effects, values, strict=True)))
+        return knee_with_effects(model.knee, list(zip(effects, values, strict=True)))
 
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
         """All parameters by owner and name, as in a file of starts for `extended_knee`."""
         model = self.fitted.model
-        return values_by_owner(model.effects, model.parameters, self.fitted.theta)
+        found = values_by_owner(model.effects, model.parameters, self.fitted.theta)
+        rigs = {x.name for x in model.effects if is_error_of_rig(x)}
+        return {owner: values for owner, values in found.items() if owner not in rigs}
 
     def covariance(self) -> Array:
         """Covariance of all parameters, priors included, shape ``(p, p)``."""

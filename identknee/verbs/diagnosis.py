@@ -47,7 +47,7 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, lig
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import OF, Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
@@ -670,7 +670,9 @@ def diagnose_data(
         folder = write_subject(found.extended_knee, run.out / EXTENDED)
         lines = ["# Where the fit of the extended model lies: --start of other verbs."]
         for owner, values in found.explanation.fitted_values.items():
-            lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
+            # A cause of one rig has a name that TOML takes in quotes alone.
+            table = f'["{owner}"]' if OF in owner else f"[{owner}]"
+            lines += ["", table, *(f"{name} = {value!r}" for name, value in values.items())]
         write_atomically(folder / FITTED, "\n".join(lines) + "\n")
         if found.advice is not None:
             write_laxity(

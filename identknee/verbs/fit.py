@@ -68,7 +68,7 @@ from identknee.laxity.table import (
 )
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.effects.effect import scope_of
+from identknee.model.effects.effect import is_error_of_rig
 from identknee.model.effects.library import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
@@ -592,7 +592,7 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
     choices = [
         choice_of(knee, x, theta[[parameters.index(name) for name in x.parameters.names]])
         for x in model.effects
-        if not (scope_of(x) and not x.parameters.is_of_interest.any())
+        if not is_error_of_rig(x)
     ]
     return replace(
         knee.with_effects(choices),

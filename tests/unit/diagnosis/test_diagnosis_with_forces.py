@@ -1,6 +1,7 @@
 """Forces in a diagnosis: signatures of causes in them, and what they alone can show."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from identknee.diagnosis.missing_line import (
     candidate_lines,
     line_gradients,
 )
+from identknee.laxity.experiment_tables import joined
+from identknee.laxity.experiments import Experiment
 from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect
@@ -31,6 +34,7 @@ from identknee.model.effects.tissues import toe_strain
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
 from identknee.runs.arrays import Array
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, Uncertainty
 
 NAMES, SD_N = ("ACL.tension_N", "contact.medial_N"), 5.0
@@ -126,6 +130,18 @@ def test_nuisances_of_the_table_are_those_of_its_forces(reference: Knee) -> None
     toe = rows.under([toe_strain()]).jacobian(np.r_[theta, 0.0])[:, -1]
     columns = rows.nuisances(theta)
     assert np.isclose(columns, toe[:, None]).all(axis=0).any()
+
+
+def test_errors_of_a_rig_are_none_of_the_extended_knee(reference: Knee, tmp_path: Path) -> None:
+    laxity = _measured(reference, 1, every=9)
+    rig = Experiment(name="a", rig="robot", mounting="robot-1", uncertainty={"load_cell_N": 3.0})
+    whole = joined([(rig, laxity)])
+    ik.diagnose(reference, whole, effects=[compression()], out=tmp_path / "out")
+    extended = ik.read_subject(tmp_path / "out" / "extended")
+    assert all("/" not in x.name for x in extended.effects)
+    start = tmp_path / "out" / "extended" / "fitted.toml"
+    again = ik.fit(extended, whole, start=str(start), more_starts=0)
+    assert again.search.outcome is not Outcome.START_FAILED
 
 
 def test_a_cause_is_named_beside_forces(reference: Knee) -> None:
