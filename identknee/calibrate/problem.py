@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,6 @@ from scipy.linalg import solve_triangular, svd
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
-from identknee.runs.marginalise import whitening
 from identknee.runs.record import Outcome
 
 STIFFNESS_UNIT = "_kN"
@@ -195,47 +194,6 @@ class WhitenedResiduals:
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives, shape ``(m, n)``."""
         return np.asarray(self.problem.jacobian(theta) / self.sd[:, None])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MarginalisedProblem:
-    """A problem with errors averaged over that change its residuals along straight lines.
-
-    Attributes
-    ----------
-    problem
-        The problem, its residuals in units of their noise.
-    changes
-        What errors of one standard deviation change in the residuals, shape ``(m, k)``.
-    offset
-        What the means of the errors change in them, shape ``(m,)``.
-    """
-
-    problem: Problem
-    changes: Array
-    offset: Array
-    _whitening: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_whitening", whitening(self.changes))
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
-    def residuals(self, theta: Array) -> Array:
-        """Residuals of the problem, independent again, shape ``(m,)``."""
-        found = self.problem.residuals(theta)
-        return self.whitened(found + self.offset) if np.isfinite(found).all() else found
-
-    def jacobian(self, theta: Array) -> Array:
-        """Their derivatives, shape ``(m, n)``."""
-        return self.whitened(self.problem.jacobian(theta))
-
-    def whitened(self, rows: Array) -> Array:
-        """Residuals, or changes of them, in units of noise and errors together."""
-        return np.asarray(self._whitening @ rows)
 
 
 @declared

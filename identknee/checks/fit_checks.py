@@ -321,6 +321,9 @@ def nuisance_findings(
     return tuple(found)
 
 
+SHIFT_UNITS = {"mm": "mm", "deg": "deg", "N": "N", "Nm": "N·m"}
+
+
 def shift_words(name: str) -> tuple[str, str]:
     """Unit of a nuisance, and what of its group it moves.
 
@@ -328,14 +331,16 @@ def shift_words(name: str) -> tuple[str, str]:
     --------
     >>> shift_words("insertion.ACL_femur_x_mm"), shift_words("load_gain.varus_moment")
     (('mm', ' along x'), ('1', ' in varus moment'))
+    >>> shift_words("robot/load_cell.moment_z_Nm")
+    ('N·m', ' about z')
     """
     *words, last = name.rpartition(".")[2].split("_")
-    unit = last if last in ("mm", "deg") else "1"
+    unit = SHIFT_UNITS.get(last, "1")
     what = words if unit != "1" else [*words, last]
     if what[0] == "ln":
         return unit, " in its logarithm"
     if what[-1] in ("x", "y", "z"):
-        return unit, f" {'along' if unit == 'mm' else 'about'} {what[-1]}"
+        return unit, f" {'along' if unit in ('mm', 'N') else 'about'} {what[-1]}"
     return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
 
 

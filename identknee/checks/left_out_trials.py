@@ -37,10 +37,7 @@ class TrialsAsked:
     @property
     def with_contradicted(self) -> Laxity:
         """The data with the trials that the table contradicts."""
-        rows = np.isin(self.given.protocol.trials, self.contradicted)
-        coordinates = np.array(self.laxity.coordinates)
-        coordinates[rows] = self.given.coordinates[rows]
-        return replace(self.laxity, coordinates=coordinates)
+        return self.given.without(np.isin(self.given.protocol.trials, self.by_name))
 
 
 def trials_asked(

@@ -1,7 +1,6 @@
 """Checks of a laxity table: loads, frames, conventions, and trials that contradict the others."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -473,9 +472,7 @@ def columns_by_trial(rows: Array, is_measured: BoolArray) -> csr_array:
 
 def without_rows(laxity: Laxity, rows: Iterable[SuspiciousRow]) -> Laxity:
     """The laxity with these trials left blank."""
-    coordinates = np.array(laxity.coordinates)
-    coordinates[[x.trial for x in rows]] = np.nan
-    return replace(laxity, coordinates=coordinates)
+    return laxity.without(np.isin(np.arange(laxity.n), [x.trial for x in rows]))
 
 
 def trial_findings(

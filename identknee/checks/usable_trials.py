@@ -22,6 +22,7 @@ from identknee.calibrate.problem import (
     with_nuisance_priors,
 )
 from identknee.identify.optimum import REACH, sobol_around
+from identknee.laxity.experiments import LOAD_CELL
 from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
@@ -389,7 +390,7 @@ def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
     """Which experiments share a rig and a mounting, as a sentence; none for a single table."""
     experiments = laxity.protocol.experiments
     if len(experiments) < 2:
-        return ()
+        return superposition_sentences(laxity)
     mounted: dict[str, list[str]] = {}
     for x in experiments:
         mounted.setdefault(x.mounting, []).append(x.name)
@@ -399,6 +400,30 @@ def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
     sentence = (
         f"{n} experiments on one knee, of {rigs} rig{'s' * (rigs > 1)} and {m} "
         f"mounting{'s' * (m > 1)} ({groups}): those of one mounting share its errors."
+    )
+    return (sentence, *superposition_sentences(laxity))
+
+
+def superposition_sentences(laxity: Laxity) -> tuple[str, ...]:
+    """What counts of in-situ forces, and which of their errors; none without any."""
+    if (made := laxity.superposition) is None:
+        return ()
+    paths = len(set(made.trials))
+    units = dict(zip(LOAD_CELL, ("N", "N·m"), strict=True))
+    cells = []
+    for x in {x.rig: x for x in laxity.protocol.experiments}.values():
+        sizes = {name: x.uncertainty.get(name, 0.0) for name in LOAD_CELL}
+        if own := [f"{size:g} {units[name]}" for name, size in sizes.items() if size > 0.0]:
+            cells.append(f"{x.rig} ({', '.join(own)})")
+    poses = f"{made.pose_sd[:, 0].max():g} mm and {made.pose_sd[:, 1].max():g} deg"
+    errors = [
+        *([f"the replayed pose (up to {poses})"] if made.pose_sd.any() else []),
+        *([f"a constant error of the load cell of {listed(cells)}"] if cells else []),
+    ]
+    beside = f" Beside the noise of readings: {listed(errors)}." if errors else ""
+    sentence = (
+        f"In-situ forces of {listed(list(dict.fromkeys(made.cut)))} in {paths} replayed "
+        f"path{'s' * (paths > 1)} were predicted in the model's equilibrium of each trial.{beside}"
     )
     return (sentence,)
 

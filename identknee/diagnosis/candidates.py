@@ -7,6 +7,7 @@ import numpy as np
 
 from identknee.checks.fit_checks import BEYOND_PRIOR
 from identknee.diagnosis.fitting import FAR_EVIDENCE, FittedModel, Refit, refit
+from identknee.diagnosis.force_rows import ForceRows
 from identknee.diagnosis.score import (
     LEVEL,
     MOST_SIGNED,
@@ -145,11 +146,16 @@ def _columns(fitted: FittedModel, added: Sequence[Sized]) -> list[Array]:
     """Whitened derivatives by the amplitudes of effects that act together, ``(m, a)`` each."""
     base, sizes = fitted.model, [len(values) for _, values in added]
     model = base.with_effects([*base.effects, *(effect for effect, _ in added)])
-    prediction = model.predict(np.concatenate([fitted.theta, *(values for _, values in added)]))
+    theta = np.concatenate([fitted.theta, *(values for _, values in added)])
+    # Forces share the prediction; without any, that of the fit is kept in its place.
+    prediction = (model.predict_once if fitted.laxity.has_forces else model.predict)(theta)
     used = fitted.laxity.is_measured.any(axis=1)
     columns = np.zeros((fitted.n_data, sum(sizes)))
     if prediction.jacobian is not None and prediction.is_converged[used].all():
-        columns = fitted.columns(prediction.jacobian[:, :, len(fitted.theta) :])
+        of_forces = ForceRows(model=model, laxity=fitted.laxity).jacobian(theta)
+        columns = fitted.columns(
+            prediction.jacobian[:, :, len(fitted.theta) :], of_forces[:, len(fitted.theta) :]
+        )
     return np.split(columns, np.cumsum(sizes)[:-1], axis=1)
 
 
@@ -184,7 +190,10 @@ def _at_sites(fitted: FittedModel, structure: MissingStructure) -> list[Variant]
         shape = added_line_tensions(model, prediction, (femoral, tibial), unit, own)
         pulls = PER_KN * shape.by_stiffness[:, :, None] * shape.lengthening
         pulls = pulls.reshape(len(prediction.codes), len(moves), m, 5).sum(axis=2)
-        columns = fitted.columns(pose_changes(fitted, pulls.transpose(0, 2, 1)))
+        gradients = pulls.transpose(0, 2, 1)
+        columns = fitted.columns(
+            pose_changes(fitted, gradients), fitted.forces.changes(fitted.theta, gradients)
+        )
         found += [
             _site_variant(structure, move, float(strain), columns[:, [k]])
             for k, move in enumerate(moves)

@@ -10,14 +10,19 @@ from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.problem import (
+    TABLE_TERM,
     Evaluation,
     Evaluator,
     EvidenceTerm,
     ProblemWithPriors,
+    SumOfTerms,
     evidence_terms,
 )
+from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.data_noise import DataNoise, noise_of
 from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
+from identknee.checks.usable_trials import force_terms
+from identknee.diagnosis.force_rows import ForceRows
 from identknee.diagnosis.misfit import (
     Projector,
     base_projector,
@@ -38,7 +43,7 @@ from identknee.identify.optimum import (
 )
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import Effect, is_error_of_rig
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
@@ -92,10 +97,42 @@ class WhitenedProblem:
         return self.noise.whiten(self.compared.jacobian(theta))
 
 
+@declared
+class ProblemWithForces:
+    """Residuals of a table, whitened, and of forces given these: nuisances are common to both."""
+
+    problem: SumOfTerms = entry("The table, whitened, then forces in units of their own errors")
+    noise: NoiseModel = entry("The errors of the table, and its nuisances")
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the model."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Predicted less measured, whitened, shape ``(m + f,)``; infinite without a prediction."""
+        residuals = self.problem.residuals(theta)
+        return self._whitened(residuals) if np.isfinite(residuals).all() else residuals
+
+    def jacobian(self, theta: Array) -> Array:
+        """Change of the residuals with theta, shape ``(m + f, p)``."""
+        return self._whitened(self.problem.jacobian(theta))
+
+    def _whitened(self, rows: Array) -> Array:
+        table, forces = rows[: self.noise.n], rows[self.noise.n :]
+        return np.concatenate([table, self.noise.whiten_beside(forces, table)])
+
+
 def whitened_problem(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> ProblemWithPriors:
     """The problem of fitting the model to the data, the priors of all parameters included."""
     compared = LaxityResiduals(model=model, laxity=laxity)
-    return ProblemWithPriors(problem=WhitenedProblem(compared=compared, noise=noise))
+    table = WhitenedProblem(compared=compared, noise=noise)
+    forces = force_terms(compared.model, laxity)
+    if not forces:
+        return ProblemWithPriors(problem=table)
+    sizes = (noise.n, *(x.n for x in forces.values()))
+    terms = SumOfTerms(terms={TABLE_TERM: table, **forces}, sizes=sizes)
+    return ProblemWithPriors(problem=ProblemWithForces(problem=terms, noise=noise))
 
 
 @declared
@@ -129,9 +166,19 @@ class FittedModel:
         return float(data @ data)
 
     @property
-    def n_data(self) -> int:
-        """Values measured."""
+    def n_coordinates(self) -> int:
+        """Coordinates measured: the first of the rows."""
         return int(self.laxity.is_measured.sum())
+
+    @property
+    def n_data(self) -> int:
+        """Values measured: coordinates, then forces."""
+        return self.laxity.n_values
+
+    @property
+    def forces(self) -> ForceRows:
+        """The forces measured."""
+        return ForceRows(model=self.model, laxity=self.laxity)
 
     @property
     def compared(self) -> LaxityResiduals:
@@ -163,6 +210,12 @@ class FittedModel:
         """Terms of the deviance of the fit."""
         problem = whitened_problem(self.model, self.laxity, self.noise)
         return evidence_terms(problem, self.theta)
+
+    @property
+    def compared_forces(self) -> ComparedForces | None:
+        """Measured and predicted forces; None where none was measured."""
+        problem = whitened_problem(self.model, self.laxity, self.noise)
+        return compared_forces(problem, self.theta)
 
     @property
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:
@@ -229,9 +282,22 @@ class FittedModel:
         """The projector off the fitted parameters in those rows, ligaments without a prior."""
         return base_projector(self.evaluation.jacobian[self.counts_as_misfit])
 
-    def columns(self, changes: Array) -> Array:
-        """Changes of the coordinates (n, 5, k), whitened, shape ``(m, k)``."""
-        return self.noise.whiten(self.compared.rows(changes))
+    def columns(self, changes: Array, of_forces: Array | None = None) -> Array:
+        """Changes of the coordinates (n, 5, k) and of the forces, whitened, shape ``(m, k)``.
+
+        Parameters
+        ----------
+        changes
+            Of the coordinates [mm, deg].
+        of_forces
+            Of the forces, in units of their errors, shape ``(f, k)``; none if None.
+        """
+        table = self.noise.whiten(self.compared.rows(changes))
+        if self.n_data == self.n_coordinates:
+            return table
+        if of_forces is None:
+            of_forces = np.zeros((self.n_data - self.n_coordinates, table.shape[1]))
+        return np.concatenate([table, self.noise.whiten_beside(of_forces, table)])
 
 
 # Asked for its causes, its ligaments and what they gain, one after the other.
@@ -349,6 +415,7 @@ def fitted_with_nuisances(fitted: FittedModel, sd: Array, correlation: float) ->
         correlation=correlation,
         nuisance=fitted.compared.rows(changes),
         nuisance_sd=spreads,
+        beside=fitted.forces.nuisances(fitted.theta) if fitted.laxity.has_forces else None,
     )
     return best_fit_from(fitted.model, fitted.laxity, noise, [fitted.theta])
 
@@ -557,15 +624,18 @@ class Refit:
         twice. A search starts at the fit with `fitted_values`.
         """
         model, p = self.fitted.model, self.fitted.model.parameters
-        places = [[p.index(name) for name in x.parameters.names] for x in model.effects]
+        effects = [x for x in model.effects if not is_error_of_rig(x)]
+        places = [[p.index(name) for name in x.parameters.names] for x in effects]
         values = [np.asarray(self.fitted.theta[x]) for x in places]
-        return knee_with_effects(model.knee, list(zip(model.effects, values, strict=True)))
+        return knee_with_effects(model.knee, list(zip(effects, values, strict=True)))
 
     @property
     def fitted_values(self) -> dict[str, dict[str, float]]:
         """All parameters by owner and name, as in a file of starts for `extended_knee`."""
         model = self.fitted.model
-        return values_by_owner(model.effects, model.parameters, self.fitted.theta)
+        found = values_by_owner(model.effects, model.parameters, self.fitted.theta)
+        rigs = {x.name for x in model.effects if is_error_of_rig(x)}
+        return {owner: values for owner, values in found.items() if owner not in rigs}
 
     def covariance(self) -> Array:
         """Covariance of all parameters, priors included, shape ``(p, p)``."""

@@ -840,11 +840,9 @@ def _sampled_trials(laxity: Laxity) -> BoolArray:
 def _part(fitted: FittedModel, is_used: BoolArray) -> FittedModel:
     """A fit to all trials as it is for some of them."""
     laxity = fitted.laxity
-    if laxity.zero == ABSOLUTE:
-        laxity = laxity.select(is_used)
-    else:
-        # Coordinates may count from any of the others.
-        laxity = replace(laxity, coordinates=np.where(is_used[:, None], laxity.coordinates, np.nan))
+    # Changes of coordinates may count from any of the others.
+    is_absolute = laxity.zero == ABSOLUTE
+    laxity = laxity.select(is_used) if is_absolute else laxity.without(~is_used)
     rows = np.broadcast_to(is_used[:, None], fitted.laxity.is_measured.shape)
     noise = fitted.noise.of(rows[fitted.laxity.is_measured])
     model = fitted.model.with_tests(laxity)

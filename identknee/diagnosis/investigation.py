@@ -14,6 +14,7 @@ from identknee.checks.fit_checks import (
     parameters_at_zero,
 )
 from identknee.checks.subject_checks import stability_findings
+from identknee.checks.usable_trials import needs_weights
 from identknee.diagnosis.advice import AdvisedProtocol, advise
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.fitting import (
@@ -55,6 +56,7 @@ from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
+from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.progress import stage
@@ -263,6 +265,12 @@ def investigate(
         base_fit = fit_base(knee, laxity, starts=begin, seed=seed)
         if base_fit is None or not base_fit.fitted.evaluation.is_finite:
             return None
+        if needs_weights(laxity):
+            # Errors of replayed poses count by stiffnesses that are known from here on.
+            first = base_fit.fitted
+            laxity = weighed(laxity, first.model, first.theta)
+            begin = [*begin, first.theta[: first.model.n_ligament_parameters]]
+            base_fit = fit_base(knee, laxity, starts=begin, seed=seed) or base_fit
         base_fit = without_idle_priors(base_fit)
     attribution, p_value = _explained(base_fit, effects, seed)
     if (start := better_start(attribution)) is not None:

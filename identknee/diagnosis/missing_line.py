@@ -101,23 +101,33 @@ def line_columns(model: LaxityModel, prediction: Prediction, lines: CandidateLin
     """
     if prediction.hessians is None:
         raise ValueError('lines of action need a prediction with contact="field"')
-    ends = (
-        model.knee.femur_frame.to_local(lines.femur),
-        model.knee.tibia_frame.to_local(lines.tibia),
-    )
     converged = prediction.is_converged
     hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
     seen = observed_slopes(model, prediction)
     compliance = seen @ coordinate_jacobian(prediction.poses) @ np.linalg.inv(hessians)
+    pulls = line_gradients(model, prediction, lines)
+    columns = -(compliance @ pulls.reshape(*pulls.shape[:2], -1)).reshape(pulls.shape)
+    columns[~converged] = np.nan
+    return np.asarray(columns)
+
+
+def line_gradients(model: LaxityModel, prediction: Prediction, lines: CandidateLines) -> Array:
+    """What each line of 1 kN adds to the gradient of the energy at every slack strain.
+
+    Shape ``(n, 5, len(SLACK_STRAINS), m)``.
+    """
+    ends = (
+        model.knee.femur_frame.to_local(lines.femur),
+        model.knee.tibia_frame.to_local(lines.tibia),
+    )
     stiffness = np.full(lines.n, PER_KN)
-    columns = np.empty((len(converged), 5, len(SLACK_STRAINS), lines.n))
+    gradients = np.empty((len(prediction.codes), 5, len(SLACK_STRAINS), lines.n))
     for k, strain in enumerate(SLACK_STRAINS):
         strains = np.full(lines.n, PER_PCT * strain)
         pulled = added_line_tensions(model, prediction, ends, stiffness, strains)
         pulls = pulled.tensions[:, :, None] * pulled.lengthening
-        columns[:, :, k] = -compliance @ pulls.transpose(0, 2, 1)
-    columns[~converged] = np.nan
-    return columns
+        gradients[:, :, k] = pulls.transpose(0, 2, 1)
+    return gradients
 
 
 @declared
@@ -195,8 +205,13 @@ def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> Line
         rows = np.r_[np.arange(fitted.n_data), fitted.n_data + np.array(kept)]
         residuals = (residuals + jacobian[:, stiffness] * theta[stiffness])[rows]
         jacobian = jacobian[np.ix_(rows, kept)]
-    changes = line_columns(fitted.model, fitted.model.predict_once(theta), lines)
-    signatures = fitted.columns(changes.reshape(*changes.shape[:2], -1))
+    prediction = fitted.model.predict_once(theta)
+    changes = line_columns(fitted.model, prediction, lines)
+    of_forces = None
+    if fitted.laxity.has_forces:
+        pulls = line_gradients(fitted.model, prediction, lines)
+        of_forces = fitted.forces.changes(theta, pulls.reshape(*pulls.shape[:2], -1))
+    signatures = fitted.columns(changes.reshape(*changes.shape[:2], -1), of_forces)
     projector = base_projector(jacobian)
     left = projector.project(signatures)
     square = (left**2).sum(axis=0)

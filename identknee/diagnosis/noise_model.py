@@ -46,10 +46,23 @@ class NoiseModel:
     further: Array | None = entry(
         "Covariance of further errors, of all values, shape ``(m, m)``; None for none", default=None
     )
+    beside: Array | None = entry(
+        "Change of f further values, in units of their own independent errors, by each nuisance, "
+        "shape ``(f, k)``; None where there are none that have nuisances",
+        default=None,
+    )
     _blocks: tuple[_Block, ...] = field(init=False, repr=False)
+    _conditional: tuple[Array, Array] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_blocks", tuple(self._in_blocks()))
+        conditional = None
+        if self.beside is not None:
+            # What whitened values say of the further ones, and what they leave unknown.
+            carried = self.beside @ self.whiten(self.nuisances).T
+            left = marginal_covariance(self.beside) - carried @ carried.T
+            conditional = carried, np.asarray(np.linalg.cholesky(left))
+        object.__setattr__(self, "_conditional", conditional)
 
     @property
     def n(self) -> int:
@@ -59,7 +72,7 @@ class NoiseModel:
     @property
     def alone(self) -> "NoiseModel":
         """The values' own errors, without nuisances."""
-        return replace(self, nuisances=self.nuisances[:, :0], further=None)
+        return replace(self, nuisances=self.nuisances[:, :0], further=None, beside=None)
 
     @property
     def covariance(self) -> Array:
@@ -101,8 +114,16 @@ class NoiseModel:
             mean += block.learning @ whitened[block.rows]
         return whitened
 
+    def whiten_beside(self, values: Array, whitened: Array) -> Array:
+        """The further `values` (f,) or (f, k), given the others as `whiten` has them."""
+        if self._conditional is None:
+            return values
+        carried, factor = self._conditional
+        left = values - carried @ whitened
+        return np.asarray(solve_triangular(factor, left, lower=True, check_finite=False))
+
     def of(self, rows: BoolArray) -> "NoiseModel":
-        """The errors of some of the values alone, `rows` of shape ``(m,)``."""
+        """The errors of some of the values alone, `rows` of shape ``(m,)``; no further ones."""
         return NoiseModel(
             trial=self.trial[rows],
             sd=self.sd[rows],
@@ -167,6 +188,7 @@ def build_noise_model(
     correlation: float,
     nuisance: Array | None = None,
     nuisance_sd: Array | None = None,
+    beside: Array | None = None,
 ) -> NoiseModel:
     """The covariance of the measured values: noise, and what declared nuisances add to it.
 
@@ -187,6 +209,8 @@ def build_noise_model(
         Columns of nuisances, shape ``(m, k)``.
     nuisance_sd
         Prior standard deviation of each, shape ``(k,)``.
+    beside
+        What they change in f further values, in units of their own errors, shape ``(f, k)``.
 
     Raises
     ------
@@ -213,6 +237,7 @@ def build_noise_model(
             sd=measured_sd,
             correlation=correlation,
             nuisances=columns,
+            beside=None if beside is None or nuisance_sd is None else beside * nuisance_sd,
         )
     except np.linalg.LinAlgError:
         raise ValueError(

@@ -257,11 +257,15 @@ class MarginalProblem:
         residuals = self.problem.residuals(theta)
         if not np.isfinite(residuals).all():
             return residuals
-        return np.asarray(self._whitening @ (residuals + self.slopes @ self.offset))
+        return self.whitened(residuals + self.slopes @ self.offset)
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals by theta, shape ``(m, n)``."""
-        return np.asarray(self._whitening @ self.problem.jacobian(theta))
+        return self.whitened(self.problem.jacobian(theta))
+
+    def whitened(self, rows: Array) -> Array:
+        """Residuals, or changes of them, in units of noise and errors together."""
+        return np.asarray(self._whitening @ rows)
 
 
 def marginal_problem(problem: Problem, theta: Array) -> MarginalProblem:

@@ -206,7 +206,7 @@ def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effec
     for x in {x.rig: x for x in experiments if x.uncertainty}.values():
         own = {k: size for k, size in x.uncertainty.items() if k not in LOAD_CELL}
         stated = knee.with_uncertainty(replace(knee.uncertainty, **own))
-        for effect in stored_effects(stated):
+        for effect in stored_effects(stated) if own else ():
             if effect.name in OF_RIG:
                 yield scoped(effect, x.rig)
         if any(cell := [x.uncertainty.get(part, 0.0) for part in LOAD_CELL]):

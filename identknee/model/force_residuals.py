@@ -12,7 +12,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_values
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import CONTACT, quantity_place
-from identknee.runs.arrays import Array, short_repr
+from identknee.runs.arrays import Array, IntArray, short_repr
 from identknee.runs.errors import ValueRefused
 
 
@@ -67,6 +67,11 @@ class ForceResiduals:
     def n(self) -> int:
         """How many forces were measured."""
         return int(self.forces.is_measured.sum())
+
+    @property
+    def trials(self) -> IntArray:
+        """The trial of each, shape ``(n,)``."""
+        return np.nonzero(self.forces.is_measured)[0]
 
     def predicted(self, theta: Array) -> Array:
         """The forces of all trials, shape ``(trials, forces)``; NaN without an equilibrium."""

@@ -309,10 +309,7 @@ def surface_changes(model: LaxityModel, prediction: Prediction, length: float) -
     """
     if prediction.hessians is None:
         raise ValueError('surface roughness needs a prediction with contact="field"')
-    contacts = trial_contacts(model, prediction)
-    tibial = model.joint.contact.points
-    bumps = surface_bumps(contacts, tibial, length)
-    moved = np.stack([_gradient_columns(x, tibial[x.index], *bumps) for x in contacts])
+    moved = surface_gradients(model, prediction, length)
     converged = prediction.is_converged
     hessians = np.where(converged[:, None, None], prediction.hessians, np.eye(5))
     poses = -np.linalg.solve(hessians, moved)
@@ -320,6 +317,14 @@ def surface_changes(model: LaxityModel, prediction: Prediction, length: float) -
     columns: Array = seen @ coordinate_jacobian(prediction.poses) @ poses
     columns[~converged] = np.nan
     return columns
+
+
+def surface_gradients(model: LaxityModel, prediction: Prediction, length: float) -> Array:
+    """Derivatives of the energy's gradient by the heights of all bumps, shape ``(n, 5, k)``."""
+    contacts = trial_contacts(model, prediction)
+    tibial = model.joint.contact.points
+    bumps = surface_bumps(contacts, tibial, length)
+    return np.stack([_gradient_columns(x, tibial[x.index], *bumps) for x in contacts])
 
 
 def _gradient_columns(

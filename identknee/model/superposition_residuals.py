@@ -6,12 +6,13 @@ replayed. An error of the replayed pose changes it by the stiffness of the struc
 kept, so that residuals stay a function of the parameters with errors of known size.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
-from identknee.laxity.experiments import INTACT
+from identknee.laxity.experiments import INTACT, cuts_of
 from identknee.laxity.superposition import WRENCH, Superposition
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import OF
@@ -22,7 +23,7 @@ from identknee.model.nuisances import CELL
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.model.structure_wrenches import StructureWrenches, structure_wrenches
-from identknee.runs.arrays import Array, BoolArray, short_repr
+from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.errors import ValueRefused
 
 FORCE, N_COMPONENTS = slice(0, 3), len(WRENCH)
@@ -47,7 +48,8 @@ class SuperpositionResiduals:
     Raises
     ------
     ValueError
-        If the model lacks a structure that was cut, or it was gone before the path was made.
+        If the model lacks a structure that was cut, it was gone before, or a part of it was and the
+        path was made without that.
     """
 
     model: LaxityModel
@@ -63,16 +65,10 @@ class SuperpositionResiduals:
     def __post_init__(self) -> None:
         """Check that the model has what was cut."""
         model, made = self.model, self.superposition
-        protocol, names = model.protocol, structure_names(model)
-        trials = tuple(protocol.trials.index(x) for x in made.trials)
+        trials = tuple(model.protocol.trials.index(x) for x in made.trials)
         for row, trial in enumerate(trials):
-            index_of(made.cut[row], names, "ligament")
-            state = INTACT if protocol.state is None else protocol.state[trial]
-            if members_of(model.knee, made.cut[row]) <= gone_in(model.knee, state):
-                raise ValueRefused(
-                    f"{made.words(row)}: it was cut before this path was made",
-                    "name the trial whose path was replayed",
-                )
+            index_of(made.cut[row], structure_names(model), "ligament")
+            _check_cut(model, made, row, trial)
         object.__setattr__(self, "_trials", trials)
         object.__setattr__(self, "_offsets", _offset_slopes(model, trials))
         covariance = made.covariance
@@ -89,6 +85,11 @@ class SuperpositionResiduals:
     def n(self) -> int:
         """How many values were measured."""
         return self.superposition.n_values
+
+    @property
+    def trials(self) -> IntArray:
+        """The trial of each, shape ``(n,)``."""
+        return np.array(self._trials)[np.nonzero(self.superposition.is_measured)[0]]
 
     def predicted(self, theta: Array) -> Array:
         """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
@@ -131,15 +132,60 @@ class SuperpositionResiduals:
 
     def _found(self, theta: Array) -> StructureWrenches:
         prediction = self.model.predict_once(theta)
-        return _wrenches(self.model, prediction, self._trials, self.superposition.cut)
+        return _cut_wrenches(self.model, prediction, self.superposition)
+
+
+def _check_cut(model: LaxityModel, made: Superposition, row: int, trial: int) -> None:
+    """Refuse a structure that was gone, or that was cut in part after its path was made."""
+    knee, states = model.knee, model.protocol.state
+    state = INTACT if states is None else states[trial]
+    members = members_of(knee, made.cut[row])
+    if members <= gone_in(knee, state):
+        raise ValueRefused(
+            f"{made.words(row)}: it was cut before this path was made",
+            "name the trial whose path was replayed",
+        )
+    if members <= gone_in(knee, made.before[row]):
+        raise ValueRefused(
+            f"{made.words(row)}: nothing of it was left in the state {made.before[row]!r} before",
+            "give the states of the knee before and after the cut",
+        )
+    known = {x.words for x in cuts_of(state)}
+    later = [x for x in cuts_of(made.before[row]) if x.is_partial and x.words not in known]
+    if any(members & members_of(knee, x.ligament) for x in later):
+        raise ValueRefused(
+            f"{made.words(row)}: a part of it was cut after this path was made",
+            "replay a path that was made in the state before",
+        )
 
 
 # Residuals and their Jacobian are asked for one after the other.
 @lru_cache(maxsize=2)
-def _wrenches(
-    model: LaxityModel, prediction: Prediction, trials: tuple[int, ...], names: tuple[str, ...]
+def _cut_wrenches(
+    model: LaxityModel, prediction: Prediction, made: Superposition
 ) -> StructureWrenches:
-    return structure_wrenches(model, prediction, trials, names)
+    """The wrench of what each cut took away, of a group the bundles that were left before."""
+    rows, names = [], []
+    for row, (cut, before) in enumerate(zip(made.cut, made.before, strict=True)):
+        members, gone = members_of(model.knee, cut), gone_in(model.knee, before)
+        left = sorted(members - gone) if members & gone else [cut]
+        rows += [row] * len(left)
+        names += left
+    places = {name: i for i, name in enumerate(model.protocol.trials)}
+    trials = [places[made.trials[row]] for row in rows]
+    found = structure_wrenches(model, prediction, trials, names)
+    if len(rows) == made.n:
+        return found
+    parts = (found.values, found.jacobian, found.by_twist)
+    values, jacobian, by_twist = (_by_row(x, rows, made.n) for x in parts)
+    return StructureWrenches(values=values, jacobian=jacobian, by_twist=by_twist)
+
+
+def _by_row(parts: Array, rows: Sequence[int], n: int) -> Array:
+    """Sums of parts (k, ...) by the row of each, shape ``(n, ...)``; NaN where one is."""
+    whole = np.zeros((n, *parts.shape[1:]))
+    np.add.at(whole, np.array(rows), parts)
+    return whole
 
 
 def _offset_slopes(model: LaxityModel, trials: tuple[int, ...]) -> Array:
@@ -190,7 +236,6 @@ def error_covariance(model: LaxityModel, made: Superposition, theta: Array) -> A
         size was measured. Where a trial has no equilibrium there, errors of its pose count as
         nothing.
     """
-    trials = [model.protocol.trials.index(x) for x in made.trials]
     shares, replayed = made.shares(), made.pose_sd.any(axis=1)
     # What each value is of the three components of a force and of all six of a wrench.
     axes = np.zeros((made.n, N_COMPONENTS + 1, N_COMPONENTS))
@@ -198,7 +243,7 @@ def error_covariance(model: LaxityModel, made: Superposition, theta: Array) -> A
     moved = np.zeros((made.n, N_COMPONENTS, 6))
     has_sizes = made.is_measured[:, N_COMPONENTS].any()
     if replayed.any() or has_sizes:
-        found = structure_wrenches(model, model.predict(theta), trials, made.cut)
+        found = _cut_wrenches(model, model.predict(theta), made)
         axes[:, N_COMPONENTS, FORCE] = _directions(np.nan_to_num(found.values))
         errors = np.repeat([made.pose_sd[:, 0], np.radians(made.pose_sd[:, 1])], 3, axis=0).T
         moved = np.nan_to_num(found.by_twist) * errors[:, None]

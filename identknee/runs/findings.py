@@ -197,14 +197,6 @@ _ALL = (
         template="{trial} was left out, as asked.",
     ),
     FindingKind(
-        code="forces-not-used",
-        severity=WARNING,
-        about=About.DATA,
-        meaning="A diagnosis looks for causes in the coordinates alone, not in measured forces.",
-        remedy="Compare what fits with and without a cause predict of the forces.",
-        template="The diagnosis does not use the measured forces ({forces}).",
-    ),
-    FindingKind(
         code="trial-against-fit",
         severity=WARNING,
         about=About.DATA,

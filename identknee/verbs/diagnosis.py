@@ -8,6 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.checks.broken_convention import convention_findings
+from identknee.checks.compared_forces import ComparedForces
 from identknee.checks.data_noise import NoiseSource, noise_of
 from identknee.checks.fit_checks import implausible_findings
 from identknee.checks.subject_checks import rim_findings
@@ -22,6 +23,7 @@ from identknee.checks.table_checks import (
     without_rows,
 )
 from identknee.checks.usable_trials import (
+    TrialSelection,
     candidate_path_findings,
     excluded_trial_findings,
     knee_with_equilibria,
@@ -45,7 +47,7 @@ from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, lig
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.model.effects.effect import Effect
+from identknee.model.effects.effect import OF, Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
@@ -393,6 +395,18 @@ class Diagnosis(Answer):
     )
     trials: Trials | None = entry("The data", group="observed_data", default=None)
     residuals: Residuals | None = entry("What is left of them", group="residuals", default=None)
+    forces_before: ComparedForces | None = entry(
+        "Measured forces, and what the model without causes predicts of them",
+        group="forces_before",
+        only="measured forces",
+        default=None,
+    )
+    forces_after: ComparedForces | None = entry(
+        "Measured forces, and what the best explanation predicts of them",
+        group="forces_after",
+        only="measured forces",
+        default=None,
+    )
     trial_wrench: TrialWrench | None = entry(
         "What is missing in every trial", group="missing_wrench", default=None
     )
@@ -469,7 +483,8 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
     fitted = found.explanation.fitted
     noise, compared, measured = fitted.noise, fitted.compared, fitted.laxity.is_measured
     # Nuisances are parameters with a prior here: marginalised they would tie all trials together.
-    own, at, n, k = noise.alone, fitted.evaluation, fitted.n_data, noise.nuisances.shape[1]
+    own, at, k = noise.alone, fitted.evaluation, noise.nuisances.shape[1]
+    n, n_table = fitted.n_data, fitted.n_coordinates
     trials, coordinates = np.nonzero(measured)
     units = own.whiten(np.eye(measured.shape[1])[coordinates])
     rows = np.concatenate(
@@ -483,7 +498,7 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
         ]
     )
     columns = columns_by_trial(units, measured)
-    columns.resize(len(rows), n)
+    columns.resize(len(rows), n_table)
     return suspicious_rows(leave_one_out(rows, jacobian, columns), trials, coordinates)
 
 
@@ -604,7 +619,7 @@ def diagnose_data(
     **_: Unpack[DataOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
-    laxity = with_noise(data, noise).without_forces()
+    laxity = with_noise(data, noise)
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
@@ -613,8 +628,8 @@ def diagnose_data(
     if not has_priors("diagnose", priors):
         asked = model.parameters.names_of_interest
         subject = with_wider_priors(subject, model.parameters, asked)
-    knee, used = knee_with_equilibria(subject, laxity, start)
-    kept = used.laxity
+    knee, used = knee_with_equilibria(subject, laxity.without_forces(), start)
+    kept = _with_forces(knee, laxity, used)
     lost = excluded_trial_findings(subject, laxity, kept)
     # Stiffness there as well: the knee has its strains already, and trials may hang on both.
     is_own = np.array_equal(used.start, model.parameters.start)
@@ -645,7 +660,6 @@ def diagnose_data(
                 *lost,
                 *_contradicted(run, kept, noise, compared, found),
                 *compared.row_findings(found),
-                *_force_findings(data),
                 *implausible_explanation(found),
                 *answer.findings,
                 *advice_findings(found),
@@ -656,7 +670,9 @@ def diagnose_data(
         folder = write_subject(found.extended_knee, run.out / EXTENDED)
         lines = ["# Where the fit of the extended model lies: --start of other verbs."]
         for owner, values in found.explanation.fitted_values.items():
-            lines += ["", f"[{owner}]", *(f"{name} = {value!r}" for name, value in values.items())]
+            # A cause of one rig has a name that TOML takes in quotes alone.
+            table = f'["{owner}"]' if OF in owner else f"[{owner}]"
+            lines += ["", table, *(f"{name} = {value!r}" for name, value in values.items())]
         write_atomically(folder / FITTED, "\n".join(lines) + "\n")
         if found.advice is not None:
             write_laxity(
@@ -673,13 +689,17 @@ def diagnose_data(
     return answer
 
 
-def _force_findings(data: Laxity) -> tuple[Finding, ...]:
-    if not data.has_forces:
-        return ()
-    names = () if data.forces is None else data.forces.names
-    if data.superposition is not None:
-        names = (*names, *dict.fromkeys(f"in-situ force of {x}" for x in data.superposition.cut))
-    return (finding("forces-not-used", "data", {"forces": ", ".join(names)}),)
+def _with_forces(knee: Knee, laxity: Laxity, used: TrialSelection) -> Laxity:
+    """The trials used, with the forces of those that have an equilibrium."""
+    if not laxity.has_forces:
+        return used.laxity
+    model = LaxityModel(knee=knee, protocol=laxity.protocol).with_tests(laxity)
+    begin = np.array(model.parameters.start)
+    begin[: used.start.size] = used.start
+    is_lost = laxity.is_measured.any(axis=1) & ~used.laxity.is_measured.any(axis=1)
+    only_forces = ~laxity.is_measured.any(axis=1)
+    is_lost |= only_forces & ~model.predict(begin, derivatives=False).is_converged
+    return laxity.without(is_lost)
 
 
 def _contradicted(
@@ -691,8 +711,7 @@ def _contradicted(
     whole = with_noise(run.trials.with_contradicted, noise)
     is_used = kept.is_measured.any(axis=1)
     is_used |= np.isin(kept.protocol.trials, run.trials.contradicted)
-    coordinates = np.where(is_used[:, None], whole.coordinates, np.nan)
-    whole = replace(whole, coordinates=coordinates)
+    whole = whole.without(~is_used)
     return compared.table_findings(found, run.trials.contradicted, whole)
 
 
@@ -742,6 +761,8 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         residuals=Residuals(
             before=base.fitted.differences, after=best.fitted.differences, sd=found.noise.sd
         ),
+        forces_before=base.fitted.compared_forces,
+        forces_after=best.fitted.compared_forces,
         trial_wrench=TrialWrench(
             components=WRENCH,
             whole=WRENCH_UNITS * wrench.wrench,
@@ -871,8 +892,8 @@ def _added_variable(found: Investigation) -> AddedVariable:
         name=candidate.name,
         variant=candidate.variant,
         score=candidate.score,
-        expected=(signature.projected @ candidate.amplitude)[: fitted.n_data],
-        left=step.test.projector.project(fitted.scored_rows)[: fitted.n_data],
+        expected=(signature.projected @ candidate.amplitude)[: fitted.n_coordinates],
+        left=step.test.projector.project(fitted.scored_rows)[: fitted.n_coordinates],
         flexion_deg=flexion[measured],
     )
 

@@ -70,7 +70,7 @@ from identknee.laxity.table import (
 )
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.effects.effect import scope_of
+from identknee.model.effects.effect import is_error_of_rig
 from identknee.model.effects.library import choice_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
@@ -182,8 +182,7 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
     held = named_trials(laxity, held_out, "--hold-out")
     if not (laxity.is_measured.any(axis=1) & ~held).any():
         raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
-    blank = np.where(held[:, None], np.nan, laxity.coordinates)
-    return (replace(laxity, coordinates=blank) if held.any() else laxity), held
+    return laxity.without(held), held
 
 
 def predicted(
@@ -602,7 +601,7 @@ def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:
     choices = [
         choice_of(knee, x, theta[[parameters.index(name) for name in x.parameters.names]])
         for x in model.effects
-        if not (scope_of(x) and not x.parameters.is_of_interest.any())
+        if not is_error_of_rig(x)
     ]
     return replace(
         knee.with_effects(choices),

@@ -10,7 +10,6 @@ from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import (
     TABLE_TERM,
     BoundedProblem,
-    MarginalisedProblem,
     Problem,
     SumOfTerms,
     innermost,
@@ -18,6 +17,7 @@ from identknee.calibrate.problem import (
     with_priors_of,
 )
 from identknee.checks.usable_trials import residuals_of
+from identknee.identify.design import MarginalProblem
 from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.force_residuals import ForceResiduals
 from identknee.model.laxity_model import LaxityModel
@@ -117,7 +117,7 @@ def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResidual
     )
 
 
-def _linearised_terms(setup: Identification, theta: Array) -> MarginalisedProblem:
+def _linearised_terms(setup: Identification, theta: Array) -> MarginalProblem:
     """The same of a table with forces, which have errors in common with the coordinates."""
     everything, whole = setup.free.everything, _terms(setup)
     varied = ~everything.is_of_interest
@@ -131,11 +131,11 @@ def _linearised_terms(setup: Identification, theta: Array) -> MarginalisedProble
         elif isinstance(term, SuperpositionResiduals):
             offset = term.offset_at(theta)
             terms[name] = replace(term, model=model, offset=offset)
-    slopes = whole.jacobian(theta)[:, varied]
-    return MarginalisedProblem(
+    slopes, sd = whole.jacobian(theta)[:, varied], everything.prior_sd[varied]
+    return MarginalProblem(
         problem=SumOfTerms(terms=terms, sizes=whole.sizes),
-        changes=slopes * everything.prior_sd[varied],
-        offset=slopes @ (everything.center - theta)[varied],
+        slopes=slopes * sd,
+        offset=(everything.center - theta)[varied] / sd,
     )
 
 
@@ -161,7 +161,7 @@ def _with_fixed_nuisances(model: LaxityModel, theta: Array) -> LaxityModel:
 
 
 def _nonlinearity(
-    setup: Identification, linear: LaxityResiduals | MarginalisedProblem, theta: Array
+    setup: Identification, linear: LaxityResiduals | MarginalProblem, theta: Array
 ) -> str:
     """Nonlinearity of predictions over draws of the errors, as a sentence."""
     everything = setup.free.everything
@@ -190,10 +190,10 @@ def _nonlinearity(
 
 
 def _bent_residuals(
-    setup: Identification, linear: LaxityResiduals | MarginalisedProblem, theta: Array
+    setup: Identification, linear: LaxityResiduals | MarginalProblem, theta: Array
 ) -> Callable[[Array], Array]:
     """What a step from theta changes in residuals beyond a straight line, in their units."""
-    if isinstance(linear, MarginalisedProblem):
+    if isinstance(linear, MarginalProblem):
         whole = _terms(setup)
         here, slopes = whole.residuals(theta), whole.jacobian(theta)
 

@@ -262,6 +262,11 @@ def scope_of(effect: Effect) -> str:
     return scope if of else ""
 
 
+def is_error_of_rig(effect: Effect) -> bool:
+    """Whether it is an error of one rig or mounting, or a cut, and so none of the knee's own."""
+    return bool(scope_of(effect)) and not effect.parameters.is_of_interest.any()
+
+
 def scoped(effect: Effect, scope: str) -> Effect:
     """The effect as that of one rig or mounting: its name is ``scope/name``."""
     return renamed(effect, f"{scope}{OF}{effect.name}")

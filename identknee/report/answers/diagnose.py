@@ -16,6 +16,7 @@ from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.facts import FACTS, NOT_OFFERED, cause_label
 from identknee.report.answers.design import sizes_words, trial_table, trials_words
+from identknee.report.answers.fit import compared_forces_drawing
 from identknee.report.answers.isolability import SIZES, detectable_sizes
 from identknee.report.presenter import (
     Drawing,
@@ -402,6 +403,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             description=f"Map of the misfit by coordinate, flexion and load: {where}.",
         )
         causes = listed(map(cause_label, answer.cause_names))
+        if answer.forces_after is not None:
+            yield compared_forces_drawing(answer.forces_after)
         before = residuals.before
         changes = {f"what is explained by {causes}": before - residuals.after} if causes else {}
         if (figure := residuals_figure(trials.protocol, before, residuals.sd, changes)) is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
+from identknee.checks.compared_forces import ComparedForces
 from identknee.checks.fit_checks import AT_END
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
@@ -106,6 +107,20 @@ def _band(
     return None
 
 
+def compared_forces_drawing(forces: ComparedForces) -> Drawing:
+    """The figure of measured forces beside those predicted."""
+    from identknee.report.force_figures import compared_forces_figure
+
+    kinds = list(dict.fromkeys(map(label, forces.names)))
+    return Drawing(
+        name="forces",
+        figure=compared_forces_figure(forces),
+        caption="Measured forces (dots, with two standard deviations) and those that the fit "
+        "predicts (squares), by trial.",
+        description=f"Measured and predicted {listed(kinds)} in {len(set(forces.trials))} trials.",
+    )
+
+
 class CalibrationPresenter(Presenter[Calibration]):
     """How a fit is shown."""
 
@@ -182,19 +197,9 @@ class CalibrationPresenter(Presenter[Calibration]):
 
     @override
     def drawings(self, answer: Calibration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        from identknee.report.force_figures import compared_forces_figure
-
-        if (forces := answer.compared_forces) is None:
-            return
-        kinds = list(dict.fromkeys(map(label, forces.names)))
-        yield Drawing(
-            name="forces",
-            figure=compared_forces_figure(forces),
-            caption="Measured forces (dots, with two standard deviations) and those that the fit "
-            "predicts (squares), by trial.",
-            description=f"Measured and predicted {listed(kinds)} in {len(set(forces.trials))} "
-            "trials.",
-        )
+        """Measured forces beside those predicted."""
+        if answer.compared_forces is not None:
+            yield compared_forces_drawing(answer.compared_forces)
 
     @override
     def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":

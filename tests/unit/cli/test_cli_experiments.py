@@ -31,6 +31,9 @@ def folder(tmp_path: Path) -> Path:
     text = (tmp_path / "cut.csv").read_text()
     (tmp_path / "wrong.csv").write_text(text.replace("cut: MCL", "cut: XYZ"))
     (tmp_path / "all.csv").write_text(text.replace("cut: MCL", '"cut: ACL, PCL, LCL, MCL"'))
+    header, *rows = text.splitlines()
+    forces = [f"{header},MCL_tension_N,sd_MCL_tension_N", *(f"{x},10,5" for x in rows)]
+    (tmp_path / "force.csv").write_text("\n".join(forces))
     (tmp_path / "severed.csv").write_text(text.replace("cut: MCL", "severed"))
     return tmp_path
 
@@ -61,6 +64,7 @@ def test_two_tables_are_fitted_together(folder: Path) -> None:
         (("wrong.csv",), "XYZ"),
         (("all.csv",), "every ligament"),
         (("severed.csv",), "severed"),
+        (("force.csv",), "the force of MCL"),
         (("intact.csv", "intact.csv"), "two tables are called intact"),
         (("intact.csv", "none.csv"), "none.csv"),
         (("intact.csv", "reference"), "subject"),

@@ -56,6 +56,7 @@ def test_a_fit_has_them_as_a_term_and_draws_them(folder: Path) -> None:
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
     assert summary["parameters"]["ACL"]["stiffness_kN"] == pytest.approx(8.0, abs=0.3)
+    assert any("of ACL in 3 replayed paths" in x and "3 N" in x for x in summary["assumptions"])
     terms = {x["name"]: x["n"] for x in summary["evidence"]}
     assert terms["superposition"] == 18
     loaded = ik.load(out)
@@ -69,6 +70,20 @@ def test_a_fit_has_them_as_a_term_and_draws_them(folder: Path) -> None:
     assert np.abs(left).max() < 4.0
     assert run("report", out).exit_code == 0
     assert "predicted by the fit" in (out / "report.html").read_text()
+
+
+def test_forces_of_trials_held_out_or_left_out_do_not_count(folder: Path) -> None:
+    words = ("fit", "reference", folder / "experiments.toml", *HELD, "--more-starts", 0)
+    for i, option in enumerate(("--hold-out", "--leave-out")):
+        out = folder / f"out{i}"
+        result = run(*words, option, PROTOCOL.trials[3], "--out", out, "--json")
+        assert result.exit_code == 0, result.output
+        terms = {x["name"]: x["n"] for x in json.loads(result.stdout)["evidence"]}
+        assert terms == {
+            "laxity table": 5 * (PROTOCOL.n - 1),
+            "superposition": 12,
+            "priors of nuisance parameters": 3,
+        }
 
 
 @pytest.mark.parametrize(

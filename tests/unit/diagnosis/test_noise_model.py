@@ -61,6 +61,29 @@ def test_nuisances_in_the_covariance_are_nuisances_fitted_with_their_prior() -> 
     assert np.sum(whole.whiten(values) ** 2) == pytest.approx(least, rel=SOLVED)
 
 
+def test_further_values_are_whitened_given_the_others() -> None:
+    generator = np.random.default_rng(4)
+    nuisance, beside = generator.standard_normal((315, 20)), generator.standard_normal((7, 20))
+    spread = generator.uniform(0.1, 2.0, 20)
+    noise = build_noise_model(
+        np.ones((63, 5)),
+        everything(),
+        correlation=0.3,
+        nuisance=nuisance,
+        nuisance_sd=spread,
+        beside=beside,
+    )
+    common = np.vstack([nuisance, beside]) * spread
+    covariance = common @ common.T
+    covariance[:315, :315] = noise.covariance
+    covariance[315:, 315:] += np.eye(7)
+    table = noise.whiten(covariance[:315])
+    rows = np.vstack([table, noise.whiten_beside(covariance[315:], table)])
+    table = noise.whiten(rows.T[:315])
+    whitened = np.vstack([table, noise.whiten_beside(rows.T[315:], table)])
+    np.testing.assert_allclose(whitened, np.eye(322), atol=SOLVED)
+
+
 @pytest.mark.parametrize("most", [1, 37, 100])
 @pytest.mark.parametrize("n_nuisances", [0, 30])
 def test_whitened_in_blocks_is_whitened_at_once(

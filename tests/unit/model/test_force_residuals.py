@@ -228,8 +228,3 @@ def test_a_slack_ligament_may_read_a_little_below_zero(tmp_path: Path) -> None:
 def _with_names(laxity: ik.Laxity, names: tuple[str, ...]) -> ik.Laxity:
     assert laxity.forces is not None
     return replace(laxity, forces=replace(laxity.forces, names=names))
-
-
-def test_a_diagnosis_says_that_it_does_not_use_them() -> None:
-    found = ik.diagnose("reference", _laxity())
-    assert "forces-not-used" in [x.code for x in found.findings]

@@ -80,6 +80,13 @@ def test_a_constant_error_of_the_cell_adds_to_every_reading_of_its_rig() -> None
     np.testing.assert_allclose(moved[:, :6], expected, atol=1e-9)
 
 
+def test_a_cell_leaves_the_names_of_other_errors() -> None:
+    knee = ik.reference_knee().with_uncertainty(Uncertainty(registration_deg=2.0))
+    names = _model(knee).parameters.nuisance_names
+    assert names[0] == "registration.femur_x_deg"
+    assert names[-1] == "robot/load_cell.moment_z_Nm"
+
+
 def _covariance(problem: SuperpositionResiduals) -> Array:
     """Covariance of the values that the residuals are whitened by."""
     model = problem.model
@@ -201,7 +208,40 @@ def test_a_fit_finds_the_knee_that_made_them() -> None:
     assert widths[1] < 0.7 * widths[0]
 
 
+def test_of_a_group_those_bundles_count_that_were_left() -> None:
+    model = LaxityModel(knee=bundled_knee(), protocol=PROTOCOL)
+    rows = [
+        (B, "MCLa", "intact", "cut: MCLa"),
+        (B, "MCL", "cut: MCLa", "cut: MCL, MCLa"),
+    ]
+    theta = _theta(model)
+    # The group as a whole, and one bundle after the other.
+    made = in_situ_forces(model, theta, rows)
+    whole = in_situ_forces(model, theta, [(B, "MCL", "intact", "cut: MCL")])
+    predicted = SuperpositionResiduals(model=model, superposition=made).predicted(theta)
+    sizes = predicted[:, 0]
+    assert np.abs(sizes).min() > 1.0
+    np.testing.assert_allclose(predicted[:, :6].sum(axis=0), whole.values[0, :6], rtol=1e-9)
+    problem = SuperpositionResiduals(model=model, superposition=made)
+    jacobian = problem.jacobian(theta)
+    for i in range(theta.size):
+        move = 1e-5 * model.parameters.prior_sd_in_own_units[i] * np.eye(theta.size)[i]
+        slope = (problem.residuals(theta + move) - problem.residuals(theta - move)) / 2e-5
+        made_slope = jacobian[:, i] * model.parameters.prior_sd_in_own_units[i]
+        np.testing.assert_allclose(made_slope, slope, atol=1e-5 * np.abs(jacobian).max())
+
+
 def test_what_was_cut_before_has_no_force() -> None:
+    protocol = replace(PROTOCOL, state=("intact", "intact"))
+    model = LaxityModel(knee=bundled_knee(), protocol=protocol)
+    gone = _made(_model(bundled_knee()), [(A, "MCLa", "intact", "cut: MCLa")])
+    for before, after, named in (
+        ("cut: MCL", "cut: MCL, MCLa", "nothing of it was left"),
+        ("cut: MCL 50%", "cut: MCL 50%, MCLa", "a part of it was cut"),
+    ):
+        wrong = replace(gone, before=(before,), after=(after,))
+        with pytest.raises(ValueError, match=named):
+            SuperpositionResiduals(model=model, superposition=wrong)
     protocol = replace(PROTOCOL, state=("cut: MCLa, MCLp", "intact"))
     model = LaxityModel(knee=bundled_knee(), protocol=protocol)
     made = _made(_model(bundled_knee()), [(A, "MCL", "intact", "cut: MCL")])
