@@ -4,18 +4,16 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # Read when numpy is loaded; test processes with threads of their own get in each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from few_starts import use_all_starts, use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
 
-from identknee.calibrate.fit import Fit
-from identknee.identify.optimum import N_STARTS, with_fits_from
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
@@ -39,8 +37,6 @@ settings.register_profile(
 # Where whole verbs run to see what they make of their fits, not whether these are the lowest.
 UNIT = Path(__file__).parent / "unit"
 FEW_STARTS = {UNIT / x for x in ("cli", "report", "verbs")}
-# Beside the first.
-FEW, ALL = 2, N_STARTS
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -122,7 +118,7 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 def few_starts() -> Iterator[None]:
     """Searches of verbs begin at three points in place of seventeen."""
     with pytest.MonkeyPatch.context() as patch:
-        _set_search(patch, _with_few_fits, FEW)
+        use_few_starts(patch)
         yield
 
 
@@ -134,15 +130,5 @@ def _few_starts_of_whole_verbs(request: pytest.FixtureRequest) -> None:
 
 @pytest.fixture
 def all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All searches where there are few, for tests of what the lowest fit is."""
-    _set_search(monkeypatch, with_fits_from, ALL)
-
-
-def _with_few_fits(problem: Any, first: Fit, points: Any, **how: Any) -> tuple[Fit, ...]:
-    return with_fits_from(problem, first, points[[0, -1]], **how)
-
-
-def _set_search(patch: pytest.MonkeyPatch, search: Any, n: int) -> None:
-    for module in ("identify.optimum", "verbs.fit"):
-        patch.setattr(f"identknee.{module}.with_fits_from", search)
-    patch.setattr("identknee.identify.profile.profile.N_STARTS", n)
+    """All seventeen, in a test of what the lowest fit is."""
+    use_all_starts(monkeypatch)
