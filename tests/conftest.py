@@ -114,6 +114,12 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("identknee.checks.usable_trials.BUDGET", 40)
 
 
+@pytest.fixture
+def no_conventions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Broken conventions are not looked for, which takes hundreds of simulations."""
+    monkeypatch.setattr("identknee.checks.fit_checks.convention_findings", lambda *_: ())
+
+
 @pytest.fixture(scope="module")
 def few_starts() -> Iterator[None]:
     """Searches of verbs begin at three points in place of seventeen."""
