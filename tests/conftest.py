@@ -3,12 +3,14 @@
 import gc
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 # Read when numpy is loaded; test processes with threads of their own get in each other's way.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from few_starts import use_all_starts, use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
 
@@ -31,6 +33,10 @@ settings.register_profile(
 settings.register_profile(
     "deep", max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
+
+# Where whole verbs run to see what they make of their fits, not whether these are the lowest.
+UNIT = Path(__file__).parent / "unit"
+FEW_STARTS = {UNIT / x for x in ("cli", "report", "verbs")}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -106,3 +112,29 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of what is said of the table, whatever was found.
     """
     monkeypatch.setattr("identknee.checks.usable_trials.BUDGET", 40)
+
+
+@pytest.fixture
+def no_conventions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Broken conventions are not looked for, which takes hundreds of simulations."""
+    monkeypatch.setattr("identknee.checks.fit_checks.convention_findings", lambda *_: ())
+
+
+@pytest.fixture(scope="module")
+def few_starts() -> Iterator[None]:
+    """Searches of verbs begin at three points in place of seventeen."""
+    with pytest.MonkeyPatch.context() as patch:
+        use_few_starts(patch)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_starts_of_whole_verbs(request: pytest.FixtureRequest) -> None:
+    if request.path.parent in FEW_STARTS:
+        request.getfixturevalue("few_starts")
+
+
+@pytest.fixture
+def all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All seventeen, in a test of what the lowest fit is."""
+    use_all_starts(monkeypatch)

@@ -52,13 +52,13 @@ data = {
     "intact, MCL cut": [intact, cut],
     "intact, ACL force": replace(intact, forces=forces),
 }
+stiffness = [f"{x.name}.stiffness_kN" for x in knee.ligaments]
 widths = {}
 for name, tables in data.items():
-    profiles = ik.profile(knee, tables).parameters
+    profiles = ik.profile(knee, tables, parameters=stiffness).parameters
     widths[name] = {
         parameter: x.upper - x.lower if x.lower is not None and x.upper is not None else np.nan
         for parameter, x in profiles.items()
-        if parameter.endswith("stiffness_kN")
     }
     shown = ", ".join(f"{k.partition('.')[0]} {x:.1f}" for k, x in widths[name].items())
     print(f"{name}: width of the 95 % interval [kN]: {shown}")

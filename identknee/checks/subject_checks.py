@@ -324,7 +324,7 @@ def stability_findings(model: LaxityModel) -> tuple[Finding, ...]:
     """Whether the subject is stable at its own parameters under the trials of its data.
 
     What `identknee subject check` finds there goes with every result, because results of a knee
-    that folds hang on where it folds.
+    that folds depend on where it folds.
     """
     found = model.predict(model.parameters.start, derivatives=False)
     n = model.protocol.n

@@ -222,7 +222,7 @@ class _Sets:
             found = [_alone(self._base, winner, x) for x in own + others[:MOST_ALONE]]
             for name in winner.names:
                 found.append(_without(self._base, winner, name))
-                found += [_swapped(self._base, winner, name, x) for x in others]
+                found += [_without(self._base, winner, name, x) for x in others]
             self.add(found)
 
     def let_flexible_win(self, singles: Sequence[Refit]) -> None:
@@ -262,17 +262,12 @@ def _alone(base: Refit, current: Refit, single: Refit) -> Refit:
     return refit(base, [cause], [np.r_[theta, at.amplitudes(cause.name)]], beside=[single])
 
 
-def _without(base: Refit, current: Refit, name: str) -> Refit:
+def _without(base: Refit, current: Refit, name: str, *instead: Refit) -> Refit:
+    """A set without one of its causes, refitted; those of single refits may take its place."""
     kept = [x for x in current.causes if x.name != name]
     theta = np.delete(current.fitted.theta, list(current.places(name)))
-    return refit(base, kept, [theta])
-
-
-def _swapped(base: Refit, current: Refit, name: str, single: Refit) -> Refit:
-    kept = [x for x in current.causes if x.name != name]
-    theta = np.delete(current.fitted.theta, list(current.places(name)))
-    start = np.r_[theta, single.amplitudes(single.names[0])]
-    return refit(base, [*kept, *single.causes], [start])
+    start = np.concatenate([theta, *(x.amplitudes(x.names[0]) for x in instead)])
+    return refit(base, [*kept, *(y for x in instead for y in x.causes)], [start])
 
 
 def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...]:

@@ -88,6 +88,10 @@ class SurfaceFiles(Part):
     tibia_lateral: Text
 
 
+# Sphinx reads no f-strings in annotations.
+_AXES = f"Write {_EXAMPLES['axes']}."
+
+
 class FrameTable(Part):
     """``[frames.femur]`` or ``[frames.tibia]``."""
 
@@ -95,7 +99,7 @@ class FrameTable(Part):
     axes: Annotated[
         list[Point],
         Field(min_length=3, max_length=3),
-        custom_message("three rows are wanted", f"Write {_EXAMPLES['axes']}."),
+        custom_message("three rows are wanted", _AXES),
     ]
 
 
@@ -232,6 +236,7 @@ class LandmarkTable(Part):
     lateral_malleolus: Point | None = None
 
 
+_OTHER_FORMAT = f"Write {_EXAMPLES['format']}, or update identknee if the file is newer."
 _LIGAMENTS, _EFFECTS, _GROUPS, _POSES = (
     custom_message("a list of tables is wanted", f"Write each below a line [[{x}]].")
     for x in ("ligaments", "effects", "groups", "poses")
@@ -243,10 +248,7 @@ class SubjectTables(Part):
 
     format: Annotated[
         Literal[1],
-        custom_message(
-            "format {} is not known",
-            f"Write {_EXAMPLES['format']}, or update identknee if the file is newer.",
-        ),
+        custom_message("format {} is not known", _OTHER_FORMAT),
     ]
     name: Text
     side: Annotated[

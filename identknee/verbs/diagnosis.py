@@ -631,7 +631,7 @@ def diagnose_data(
     knee, used = knee_with_equilibria(subject, laxity.without_forces(), start)
     kept = _with_forces(knee, laxity, used)
     lost = excluded_trial_findings(subject, laxity, kept)
-    # Stiffness there as well: the knee has its strains already, and trials may hang on both.
+    # Stiffness there as well: the knee has its strains already, and trials may depend on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
     with planned("diagnosing", work_of(model.parameters.n)):

@@ -21,11 +21,7 @@ from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared,
 from identknee.runs.progress import planned
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import (
-    Identification,
-    best_fits,
-    identification,
-)
+from identknee.verbs.identification import Identification, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option, trials_option
 from identknee.verbs.question import has_priors
@@ -150,7 +146,6 @@ def equivalents(
         priors=has_priors("equivalents", priors),
     )
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
-    fits = fits or best_fits(setup, seed=seed, executor=run.executor)
     predictions = _predictions(setup, quantities or (), forces, asked)
     run.start_clock()
     # Marginalised nuisances move the optimum a little.

@@ -15,7 +15,7 @@ from identknee.identify.information import information as fisher_information
 from identknee.runs.declare import declared, derived, entry
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import best_fits, identification
+from identknee.verbs.identification import identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option
 from identknee.verbs.question import has_priors
@@ -97,7 +97,6 @@ def information(
     scaled_units(setup.problem.parameters, scaling)
     run.start_clock()
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
-    fits = fits or best_fits(setup, seed=seed, executor=run.executor)
     theta = fits[0].theta[fits[0].parameters.is_of_interest]
     return LocalIdentifiability(
         fisher=fisher_information(setup.problem, theta, scaling=scaling, seed=seed),

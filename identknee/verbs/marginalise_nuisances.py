@@ -54,7 +54,7 @@ def marginalise_nuisances(
     setup
         The question; the one given where it has no nuisances.
     fits
-        Those of all parameters, the lowest first; none where there are no nuisances.
+        Those of all parameters, the lowest first.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def marginalise_nuisances(
         If no parameters near the start have a prediction in every measured trial.
     """
     if not setup.problem.parameters.nuisance_names:
-        return setup, ()
+        return setup, best_fits(setup, seed=seed, executor=executor)
     if setup.degrees_of_freedom is not None:
         raise ValueError(
             "stated errors can be marginalised only if the noise is stated; add --noise, for "

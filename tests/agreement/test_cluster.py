@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from cli_runs import said
+from few_starts import use_few_starts
 from small_knee import small_knee, small_protocol
 
 import identknee as ik
@@ -106,9 +107,11 @@ def _main() -> None:
 
     told: dict[str, Any] = {}
     with (
+        pytest.MonkeyPatch.context() as patch,
         tempfile.TemporaryDirectory() as folder,
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
     ):
+        use_few_starts(patch)
         address, flag = cluster.scheduler_address, Path(folder) / "died"
         with dask_cluster(address) as executor:
             squares = list(executor.map(partial(_square, flag), range(4)))

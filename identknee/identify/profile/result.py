@@ -398,7 +398,7 @@ _SIDES = {
 _VERDICTS = {
     ProfileVerdict.IDENTIFIABLE: "The data bound the value on both sides.",
     ProfileVerdict.BOUNDED_BY_ASSUMPTION: (
-        "The data alone do not make this set: an end of it hangs on a prior or on the bound of "
+        "The data alone do not make this set: an end of it depends on a prior or on the bound of "
         "another parameter."
     ),
     ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
@@ -460,7 +460,7 @@ class Side:
         """What status and origin mean, as a full sentence."""
         if self.bound_of is not None:
             return (
-                f"This end hangs on the bound of {self.bound_of}: with twice its room the end "
+                f"This end depends on the bound of {self.bound_of}: with twice its room the end "
                 "moves by more than a tenth of the interval."
             )
         if self.made_by is EndOrigin.PRIOR:
@@ -590,7 +590,7 @@ class Profile:
         """What the verdict means, as full sentences that name what sets an end."""
         ends = (("lower", self.lower_side), ("upper", self.upper_side))
         sentences = [
-            f"The {which} end hangs on the bound of {side.bound_of}."
+            f"The {which} end depends on the bound of {side.bound_of}."
             for which, side in ends
             if side.bound_of is not None
         ]

@@ -113,7 +113,7 @@ def quantity_clause(profile: Profile) -> str:
         return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
     assumed = [
         f"the {which} end "
-        + (f"hangs on the bound of {parameter_words(owner)}" if owner else "is made by priors")
+        + (f"depends on the bound of {parameter_words(owner)}" if owner else "is made by priors")
         for which, owner in _assumed_ends(profile).items()
     ]
     hangs = f"; {listed(assumed)}" if assumed else ""

@@ -47,9 +47,10 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
     assert summary["record"]["settings"]["subject"] == "lenhart2015_stable"
 
 
-@pytest.mark.usefixtures("short_searches")
+@pytest.mark.usefixtures("short_searches", "no_conventions")
 def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
-    run("fit", "s192803", "s192803", "--budget", 5, "--out", tmp_path)
+    words = ("--budget", 5, "--more-starts", 0, "--out", tmp_path)
+    run("fit", "s192803", "s192803", *words)
     summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert summary["rmse"]["n_compared"] + summary["rmse"]["n_missing"] == 120
     assert summary["record"]["settings"]["data"] == "s192803"

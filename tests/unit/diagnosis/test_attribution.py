@@ -243,14 +243,11 @@ def looked_back(
 ) -> tuple[Made, set[tuple[str, ...]]]:
     """The winner after a look back whose refits are made by hand, and the names of the others."""
 
-    def without(_base: Any, now: Made, name: str) -> Made:
-        return made[tuple(x for x in now.names if x != name)]
-
-    def swapped(_base: Any, now: Made, name: str, single: Made) -> Made:
-        return made[(*(x for x in now.names if x != name), *single.names)]
+    def without(_base: Any, now: Made, name: str, *instead: Made) -> Made:
+        left = (x for x in now.names if x != name)
+        return made[(*left, *(name for x in instead for name in x.names))]
 
     monkeypatch.setattr(module, "_without", without)
-    monkeypatch.setattr(module, "_swapped", swapped)
     monkeypatch.setattr(module, "_alone", lambda _base, _now, single: made[single.names])
     sets = _Sets(Made(), N_EFFECTS)  # type: ignore[arg-type]
     refits: Any = (current, *singles)
@@ -382,7 +379,6 @@ def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "score_candidates", look)
     monkeypatch.setattr(module, "refit_top_candidates", refits)
     monkeypatch.setattr(module, "_without", poor)
-    monkeypatch.setattr(module, "_swapped", poor)
     monkeypatch.setattr(module, "_alone", lambda _base, _now, single: single)
     monkeypatch.setattr(module, "rivals_of", lambda *_: ())
     effects: Any = [SimpleNamespace(name=x) for x in "abcde"]
