@@ -613,11 +613,15 @@ def nominal_loads(protocol: Protocol) -> Array:
     return main_loads if main_loads.any() else protocol.loads
 
 
-def _changes(protocol: Protocol) -> Array:
-    """Loads less what the rig holds throughout: the median of a load that no trial is without."""
+def held_loads(protocol: Protocol) -> Array:
+    """What the rig holds throughout: the median of a load that no trial is without, ``(5,)``."""
     signs = np.sign(protocol.loads)
     is_held = np.all(signs == signs[:1], axis=0) & (signs[0] != 0.0)
-    return protocol.loads - np.where(is_held, np.median(protocol.loads, axis=0), 0.0)
+    return np.where(is_held, np.median(protocol.loads, axis=0), 0.0)
+
+
+def _changes(protocol: Protocol) -> Array:
+    return protocol.loads - held_loads(protocol)
 
 
 def nominal_flexion(protocol: Protocol) -> Array:
@@ -843,7 +847,8 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     pairs of them; and every trial made already, once more.
 
     No rig repeats a trial with its stray loads and its decimals of flexion. Such a trial is offered
-    as it was meant, see `nominal_trials`.
+    as it was meant, see `nominal_trials`. A load that the rig holds in all trials, such as
+    compression, is in all candidates that have no other load along that axis.
 
     Parameters
     ----------
@@ -870,8 +875,9 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
         )
         for i in repeats
     }
+    held = nominal_held_loads(made)
     usual = [
-        (float(angle), np.array([loads.get(column, 0.0) for column in LOADS]))
+        (float(angle), np.array([loads.get(x, y) for x, y in zip(LOADS, held, strict=True)]))
         for angle in flexion_deg
         for loads in (*SINGLE, *COMBINED)
     ]
@@ -902,9 +908,10 @@ AS_USUAL = 0.05
 def nominal_trials(made: Protocol) -> tuple[BoolArray, Array, Array]:
     """The trials as they were meant: which are so already, their flexion [deg] and loads, (n, 5).
 
-    A trial is meant to have its dominant load alone, at the largest size of that direction in any
-    trial, to two digits or as in a usual test, and a nominal flexion of whole degrees. It is so
-    already where it has no stray load and a flexion that it shares with other trials.
+    A trial is meant to have its dominant load alone, beside what the rig holds in all trials. The
+    load has the largest size of that direction in any trial, to two digits or as in a usual test,
+    and flexion is nominal, in whole degrees. A trial is so already where it has no stray load and a
+    flexion that it shares with other trials.
     """
     changes, dominant = _changes(made), dominant_loads(made)
     flexion = nominal_flexion(made)
@@ -914,12 +921,28 @@ def nominal_trials(made: Protocol) -> tuple[BoolArray, Array, Array]:
     # A load that is the only one is what the trial is about, however small.
     is_alone = np.count_nonzero(changes, axis=1) == 1
     is_exact = np.asarray((~is_stray.any(axis=1) | is_alone) & (flexion == made.flexion_deg))
-    loads = np.zeros(made.loads.shape)
+    loads = np.tile(nominal_held_loads(made), (made.n, 1))
     for i in np.flatnonzero(dominant.axis >= 0):
         axis, sign = int(dominant.axis[i]), np.sign(dominant.size[i])
         alike = (dominant.axis == axis) & (np.sign(dominant.size) == sign)
         loads[i, axis] = _nominal_load(axis, sign * (sign * made.loads[alike, axis]).max())
     return is_exact, np.where(is_exact, flexion, np.round(flexion)), loads
+
+
+# A load is held if it is within this share of its median in most trials.
+STEADY, IN_MOST = 0.3, 0.8
+
+
+def nominal_held_loads(made: Protocol) -> list[float]:
+    """What the rig holds in all trials beside the load of each, to two digits or as usual."""
+    held, changes = held_loads(made), _changes(made)
+    is_near = np.abs(changes) <= STEADY * np.abs(held)
+    is_steady = np.asarray(is_near.mean(axis=0) >= IN_MOST)
+    is_beside = bool(np.any(np.abs(changes[:, ~is_steady]) / TYPICAL[~is_steady] >= STRAY))
+    return [
+        _nominal_load(i, float(x)) if x and is_steady[i] and is_beside else 0.0
+        for i, x in enumerate(held)
+    ]
 
 
 def _nominal_load(axis: int, value: float) -> float:

@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.laxity.experiments import Cut, cuts_of, state_words
-from identknee.laxity.protocol import Protocol, dominant_loads, nominal_flexion
+from identknee.laxity.protocol import (
+    LOADS,
+    Protocol,
+    dominant_loads,
+    nominal_flexion,
+    nominal_held_loads,
+)
 from identknee.model.candidate_laxity import CandidateLaxity, continued_from_own_poses
 from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.laxity_model import LaxityModel
@@ -45,8 +51,8 @@ def state_after(state: str, ligament: str) -> str:
     return state_words([*made, Cut(ligament=ligament, fraction=1.0)])
 
 
-def strongest_trials(protocol: Protocol) -> Protocol:
-    """Of the trials with one load, the largest in each direction at each flexion angle.
+def strongest_trials(protocol: Protocol, held: Sequence[float] = (0.0,) * len(LOADS)) -> Protocol:
+    """Of the trials with one load beside those held, the largest each way at each flexion angle.
 
     Examples
     --------
@@ -55,7 +61,7 @@ def strongest_trials(protocol: Protocol) -> Protocol:
     12
     """
     dominant, flexion = dominant_loads(protocol), nominal_flexion(protocol)
-    is_single = np.count_nonzero(protocol.loads, axis=1) == 1
+    is_single = np.count_nonzero(protocol.loads - np.asarray(held), axis=1) == 1
     best: dict[tuple[float, int, float], int] = {}
     for i in np.flatnonzero(is_single).tolist():
         size = float(dominant.size[i])
@@ -92,8 +98,9 @@ def trials_made_again(offered: CandidateLaxity) -> Protocol:
     own = dominant_loads(trials)
     of = zip(np.round(trials.flexion_deg), own.axis, np.sign(own.size), strict=True)
     again = trials.select([i for i, kind in enumerate(of) if kind in kinds])
-    strongest = strongest_trials(again)
-    return strongest if strongest.n else strongest_trials(trials)
+    held = nominal_held_loads(made)
+    strongest = strongest_trials(again, held)
+    return strongest if strongest.n else strongest_trials(trials, held)
 
 
 def laxity_after_cuts(offered: CandidateLaxity, state: str) -> tuple[LaxityAfterCut, ...]:
