@@ -12,7 +12,7 @@ def bundled_knee() -> ik.Knee:
     whole = next(x for x in knee.ligaments if x.name == "MCL")
     half = replace(whole, stiffness_kN=whole.stiffness_kN / 2.0)
     others = [x for x in knee.ligaments if x.name != "MCL"]
-    x, y, z = half.tibia
-    bundles = [replace(half, name="MCLa"), replace(half, name="MCLp", tibia=(x - 4.0, y, z))]
+    behind = half.tibia - [4.0, 0.0, 0.0]
+    bundles = [replace(half, name="MCLa"), replace(half, name="MCLp", tibia=behind)]
     group = LigamentGroup(name="MCL", members=("MCLa", "MCLp"))
     return replace(knee, ligaments=(*others, *bundles), groups=(group,))
