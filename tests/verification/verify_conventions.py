@@ -57,11 +57,10 @@ def _planted(knee: str, seed: int) -> dict[str, Any]:
     title = list(PLANTED)[(turn + 9 * place) % len(PLANTED)]
     planted, drawn = PLANTED[title], drawn_table(knee, seed)
     try:
-        broken = planted.broken(drawn.laxity)
+        broken, moved = planted.broken(drawn.laxity), moved_by(drawn, planted)
     except ValueError:
         # No file of the kind would be read.
         return {"title": title, "moved": None, "is_named": False, "said": "refused"}
-    moved = moved_by(drawn, planted)
     model, _ = table_model(drawn.model.knee, broken)
     found = find_broken_convention(model, broken, model.parameters.start)
     said = "nothing" if found is None else " or ".join((found.what, *found.others))
