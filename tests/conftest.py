@@ -10,7 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
-from few_starts import use_all_starts, use_few_starts
+from few_starts import use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
 
@@ -132,9 +132,3 @@ def few_starts() -> Iterator[None]:
 def _few_starts_of_whole_verbs(request: pytest.FixtureRequest) -> None:
     if request.path.parent in FEW_STARTS:
         request.getfixturevalue("few_starts")
-
-
-@pytest.fixture
-def all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All seventeen, in a test of what the lowest fit is."""
-    use_all_starts(monkeypatch)

@@ -10,6 +10,8 @@ import identknee as ik
 from identknee.laxity.table import Laxity, add_noise
 from identknee.verbs.fit import split
 
+pytestmark = pytest.mark.usefixtures("no_conventions")
+
 HELD = ["trial 2", "trial 7", "trial 9"]
 
 

@@ -14,6 +14,8 @@ from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM
 from identknee.subject.knee import StatedPrior
 from identknee.verbs.answer import Answer
 
+pytestmark = pytest.mark.usefixtures("no_conventions")
+
 # Two parameters stay free, so that searches take seconds.
 HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
 NOISE = "0.5mm,0.5deg"
@@ -107,7 +109,7 @@ def test_a_question_says_what_was_asked_and_in_what_it_differs(laxity: ik.Laxity
     assert set(plain.differences(other)) == {"trials", "noise of lengths", "bounds"}
 
 
-@pytest.mark.usefixtures("short_searches", "no_conventions")
+@pytest.mark.usefixtures("short_searches")
 def test_what_the_table_contradicts_is_left_out_of_every_verb_alike() -> None:
     """One trial of the measured knee; `keep` keeps it."""
     table = ik.example_laxity("s192803")
