@@ -1,6 +1,6 @@
 """Which broken convention explains why a model does not fit a table."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -19,6 +19,7 @@ from identknee.checks.table_checks import (
     root_mean_square,
 )
 from identknee.checks.usable_trials import STRETCHES, TrialSearch, held_everywhere
+from identknee.laxity.experiments import cuts_of
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
@@ -40,6 +41,8 @@ MOST_LOST = 0.2
 AS_GOOD = 1.5
 # Where no noise is known, the misfit that is left is taken for it: so many times must be removed.
 FALL = 2.0
+# Changes whose misfits differ by less, in units of the noise, cannot be told apart.
+ALIKE = 4.0
 # A physical cause is fitted if the linear model promises no more than so many times the misfit.
 LIKELY = 3.0
 MOST_CAUSES = 3
@@ -178,6 +181,11 @@ class _Table:
         m = int(self.measured.sum())
         found[self.measured] = -rows[:m]
         return found, rows[m:]
+
+    @property
+    def n_cuts(self) -> int:
+        """Cuts in the states of all trials."""
+        return sum(len(cuts_of(x)) for x in self.laxity.protocol.state or ())
 
     def square(self, theta: Array, sd: Array, used: BoolArray | None = None) -> float:
         """Sum of squares of what is left in units of the noise, of the trials `used`."""
@@ -340,7 +348,7 @@ def find_broken_convention(
             found.append(put_right)
     if not found:
         return None
-    best = min(found, key=lambda x: x.score)
+    best = _simplest(found)
     if _has_physical_rival(as_is, theta, best):
         return None
     before_mm, before_deg = as_is.errors(theta)
@@ -356,6 +364,16 @@ def find_broken_convention(
             x.convention.what for x in found if x is not best and x.score <= AS_GOOD * best.score
         ),
     )
+
+
+def _simplest(found: Sequence[_PutRight]) -> _PutRight:
+    """The best, or of those that noise cannot tell from it the one with the fewest cuts.
+
+    A structure that carries nothing in the trials may be cut or not.
+    """
+    lowest = min(x.score for x in found)
+    alike = [x for x in found if x.score <= lowest + ALIKE]
+    return min(alike, key=lambda x: (x.table.n_cuts, x.score))
 
 
 def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candidate], int]:
