@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 import identknee as ik
 
 Row = Mapping[str, Any]
+# The colour of an interval that was open and is closed is that of so small a share.
+CLOSED = 0.08
 
 
 def main() -> None:
@@ -38,7 +40,10 @@ def figure_1(record: Row) -> Figure:
     for axes, (knee, part) in zip(panels, record["knees"].items(), strict=True):
         plans, names, found = widths(part)
         image = np.where(np.isnan(found), np.nan, found / found[0])
-        axes.imshow(image, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
+        closes = np.isfinite(found) & np.isnan(image)
+        axes.imshow(
+            np.where(closes, CLOSED, image), cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto"
+        )
         for i, row in enumerate(found):
             for j, width in enumerate(row):
                 share = image[i, j]
