@@ -117,7 +117,12 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def no_conventions(monkeypatch: pytest.MonkeyPatch) -> None:
     """Broken conventions are not looked for, which takes hundreds of simulations."""
-    monkeypatch.setattr("identknee.checks.fit_checks.convention_findings", lambda *_: ())
+    _without_conventions(monkeypatch)
+
+
+def _without_conventions(patch: pytest.MonkeyPatch) -> None:
+    for module in ("checks.fit_checks", "verbs.diagnosis"):
+        patch.setattr(f"identknee.{module}.convention_findings", lambda *_: ())
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +130,20 @@ def few_starts() -> Iterator[None]:
     """Searches of verbs begin at three points in place of seventeen."""
     with pytest.MonkeyPatch.context() as patch:
         use_few_starts(patch)
+        yield
+
+
+# Modules among these that are about conventions, or about what is found with them.
+ABOUT_CONVENTIONS = frozenset(
+    {"test_cli_fit", "test_cli_named_subjects", "test_brief", "test_identification"}
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_conventions_of_whole_verbs(request: pytest.FixtureRequest) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent in FEW_STARTS and request.path.stem not in ABOUT_CONVENTIONS:
+            _without_conventions(patch)
         yield
 
 

@@ -268,6 +268,17 @@ _ALL = (
         remedy="Measure more trials, or fix parameters with --fix.",
     ),
     FindingKind(
+        code="terms-disagree",
+        severity=WARNING,
+        about=About.FIT,
+        meaning="Experiments, states or measured forces do not agree: each is fitted better alone "
+        "than chance allows.",
+        remedy="Look for a wrong state, rig or reading with identknee diagnose, or leave one out, "
+        "as in --leave-out EXPERIMENT.",
+        template="{terms} do not agree: fitted together their deviance is {difference:.3g} higher "
+        "than fitted one by one (p = {p_value:.2g}), most of it in {worst} ({rise:.3g}).",
+    ),
+    FindingKind(
         code="nothing-fitted",
         severity=ERROR,
         about=About.STARTS,
@@ -301,17 +312,6 @@ _ALL = (
         remedy="Run identknee sweep for the lowest misfit, and identknee profile for what the data "
         "leave open.",
         distinct=("parameters",),
-    ),
-    FindingKind(
-        code="terms-disagree",
-        severity=WARNING,
-        about=About.FIT,
-        meaning="Experiments, states or measured forces do not agree: each is fitted better alone "
-        "than chance allows.",
-        remedy="Look for a wrong state, rig or reading with identknee diagnose, or leave one out, "
-        "as in --leave-out EXPERIMENT.",
-        template="{terms} do not agree: fitted together their deviance is {difference:.3g} higher "
-        "than fitted one by one (p = {p_value:.2g}), most of it in {worst} ({rise:.3g}).",
     ),
     FindingKind(
         code="lowest-found-once",

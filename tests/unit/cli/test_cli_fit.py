@@ -133,7 +133,8 @@ def test_a_start_without_prediction_ends_with_1(tmp_path: Path) -> None:
         *(x for name in ("ACL", "PCL", "LCL", "MCL") for x in ("--fix", f"{name}.stiffness_kN")),
     )
     assert result.exit_code == 1
-    assert "another --start" in result.stderr
+    assert "nothing-fitted" in result.stderr
+    assert "another --start" in result.stdout
     summary = summary_of(tmp_path / "fit")
     assert summary["outcome"] == "start_failed"
     assert summary["objective"] is None

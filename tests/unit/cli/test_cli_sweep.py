@@ -87,7 +87,8 @@ def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) 
     assert result.exit_code == 1, result.output
     found = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert "no-prediction" in {x["code"] for x in found["findings"]}
-    assert "the start" in result.stderr
+    assert "no-prediction" in result.stderr
+    assert "the start" in result.stdout
     assert summary(tmp_path)["kinds"] == {"start_failed": 2}
 
 

@@ -1,17 +1,19 @@
 """ArviZ compares, checks and draws a sample from its file alone."""
 
+import tempfile
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_runs import run, short_protocol
+from filelock import FileLock
 from scipy.stats import multivariate_normal
 
 import identknee as ik
 
-with warnings.catch_warnings():
-    # It warns of its own refactoring.
+with FileLock(Path(tempfile.gettempdir()) / "identknee-arviz.lock"), warnings.catch_warnings():
+    # It warns of its own refactoring, once a day: of two processes that note it at once one fails.
     warnings.simplefilter("ignore")
     az = pytest.importorskip("arviz")
 
