@@ -82,7 +82,9 @@ class _Rows:
 def agreement(
     problem: Problem, theta: Array, terms: Mapping[str, IntArray], *, seed: int = 0
 ) -> Agreement:
-    """Compare the fit to all terms with the fits to each, the parameter goodness of fit of [1]_.
+    """Compare the fit to all terms with the fits to each.
+
+    The measure is the parameter goodness of fit of Maltoni and Schwetz, equation 8.
 
     Each term is fitted from the fit to all, with a copy of all parameters and their priors of its
     own. How far terms that agree would differ is drawn from the model linear at the fit to all,

@@ -73,11 +73,11 @@ def main() -> None:
     say(f"written: {options.record.name}, {len(rows)} plans")
 
 
-def plan_row(task: Row) -> Row:
-    """Intervals of all parameters after one plan on one knee."""
+def plan_row(task: Row, parameters: list[str] | None = None) -> Row:
+    """Intervals of all parameters, or of some, after one plan on one knee."""
     knee = study_subject(task["knee"])
     laxity = planned_laxity(knee, *PLANS[task["plan"]])
-    found = ik.profile(knee, laxity)
+    found = ik.profile(knee, laxity, parameters=parameters)
     ends = {name: [x.lower, x.upper] for name, x in found.parameters.items()}
     row: Row = rounded({"plan": task["plan"], "n_trials": laxity.n, "ends": ends}, DIGITS)
     return row

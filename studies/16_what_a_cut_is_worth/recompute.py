@@ -10,11 +10,18 @@ Row = dict[str, Any]
 
 
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
-    """Name, recorded value and a function that computes it again."""
+    """Name, recorded value and a function that computes it again: closed intervals, one by one."""
     for name, part in record["knees"].items():
         for row in part["plans"]:
-            yield (
-                f"{name}, {row['plan']}",
-                row,
-                partial(plan_row, {"knee": name, "plan": row["plan"]}),
-            )
+            for parameter, ends in row["ends"].items():
+                if None not in ends:
+                    yield (
+                        f"{name}, {row['plan']}, {parameter}",
+                        {"ends": ends},
+                        partial(interval, {"knee": name, "plan": row["plan"]}, parameter),
+                    )
+
+
+def interval(task: Row, parameter: str) -> Row:
+    """The ends of one interval."""
+    return {"ends": plan_row(task, [parameter])["ends"][parameter]}

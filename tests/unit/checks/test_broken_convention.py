@@ -23,6 +23,8 @@ from identknee.model.effects.effect import ReadingError, amplitudes
 from identknee.model.effects.library import library
 from identknee.runs.arrays import Array
 
+pytestmark = pytest.mark.usefixtures("few_starts")
+
 # As `drawn_table` takes them in turn.
 CAUSES = ("registration", "load_axes", *(x.name for x in library(ik.reference_knee())))
 

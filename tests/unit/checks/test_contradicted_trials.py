@@ -23,6 +23,8 @@ from identknee.checks.table_checks import (
 from identknee.diagnosis.investigation import investigate
 from identknee.runs.arrays import Array
 
+pytestmark = pytest.mark.usefixtures("few_starts")
+
 
 def test_a_value_left_out_is_one_predicted_by_a_fit_without_it() -> None:
     generator = np.random.default_rng(0)

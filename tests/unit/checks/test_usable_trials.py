@@ -18,6 +18,8 @@ from identknee.runs.findings import Severity
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Uncertainty
 
+pytestmark = pytest.mark.usefixtures("few_starts")
+
 
 def slack() -> Knee:
     """The same knee, its ligaments as slack as a subject's placeholders may make them."""
