@@ -41,8 +41,6 @@ MOST_LOST = 0.2
 AS_GOOD = 1.5
 # Where no noise is known, the misfit that is left is taken for it: so many times must be removed.
 FALL = 2.0
-# Changes whose misfits differ by less, in units of the noise, cannot be told apart.
-ALIKE = 4.0
 # A physical cause is fitted if the linear model promises no more than so many times the misfit.
 LIKELY = 3.0
 MOST_CAUSES = 3
@@ -367,12 +365,12 @@ def find_broken_convention(
 
 
 def _simplest(found: Sequence[_PutRight]) -> _PutRight:
-    """The best, or of those that noise cannot tell from it the one with the fewest cuts.
+    """The best, or of those that are as good the one with the fewest cuts.
 
     A structure that carries nothing in the trials may be cut or not.
     """
     lowest = min(x.score for x in found)
-    alike = [x for x in found if x.score <= lowest + ALIKE]
+    alike = [x for x in found if x.score <= AS_GOOD * lowest]
     return min(alike, key=lambda x: (x.table.n_cuts, x.score))
 
 
