@@ -110,7 +110,7 @@ def _row(done: list[dict[str, Any]]) -> Row:
         sum(x["is_right"] for x in planted),
         sum(bool(x["named"]) for x in right),
     )
-    measures = []
+    measures = [Measure(what="tables", value=float(len(done)), unit="", bar=120.0, at_least=True)]
     for what, n, of, bar, at_least in (
         ("wrong labels named", n_named, len(planted), 0.9, True),
         ("right labels accused", n_accused, len(right), 0.08, False),
