@@ -23,7 +23,7 @@ LEAST_VALUES = 5
 def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
     """Residuals of each experiment, or of each state of one, and of each kind of force.
 
-    None where residuals were mixed to take out errors that trials share.
+    Empty where residuals were mixed to take out errors that trials share.
 
     Parameters
     ----------

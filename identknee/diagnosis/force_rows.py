@@ -57,7 +57,7 @@ class ForceRows:
         return np.concatenate([np.zeros((0, theta.size)), *rows])
 
     def under(self, effects: Sequence[Effect]) -> "ForceRows":
-        """The same of the model with these effects more."""
+        """Rows of the model with these effects added to its own."""
         model = self.model.with_effects([*self.model.effects, *effects])
         return ForceRows(model=model, laxity=self.laxity)
 

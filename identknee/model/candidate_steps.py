@@ -153,19 +153,18 @@ class CandidateForces:
         trials = range(self.model.protocol.n)
         loads = structure_loads(self.model, found)
         columns = [structure_names(self.model).index(x) for x in self.structures]
-        forces = contact_values(found)[:, :, 0]
-        slopes = self.free.restrict(contact_jacobian(self.model, found, trials)[:, :, 0])
+        m = len(columns)
         by_theta = self.free.restrict(loads.tension_jacobian)
-        values = np.zeros((len(trials), len(columns) + 1, N_VALUES))
-        jacobians = np.zeros((*values.shape, slopes.shape[-1]))
-        values[:, :-1, 0] = loads.tensions[:, columns] / TENSION_SD
-        jacobians[:, :-1, 0] = by_theta[:, columns] / TENSION_SD
-        values[:, -1] = forces / CONTACT_SD
-        jacobians[:, -1] = slopes / CONTACT_SD
+        values = np.zeros((len(trials), m + self.has_contact, N_VALUES))
+        jacobians = np.zeros((*values.shape, by_theta.shape[-1]))
+        values[:, :m, 0] = loads.tensions[:, columns] / TENSION_SD
+        jacobians[:, :m, 0] = by_theta[:, columns] / TENSION_SD
+        if self.has_contact:
+            slopes = contact_jacobian(self.model, found, trials)[:, :, 0]
+            values[:, m] = contact_values(found)[:, :, 0] / CONTACT_SD
+            jacobians[:, m] = self.free.restrict(slopes) / CONTACT_SD
         is_lost = ~found.is_converged
         values[is_lost], jacobians[is_lost] = np.nan, np.nan
-        if not self.has_contact:
-            values, jacobians = values[:, :-1], jacobians[:, :-1]
         k = list(chosen)
         return values.reshape(-1, N_VALUES)[k], jacobians.reshape(-1, *jacobians.shape[2:])[k]
 

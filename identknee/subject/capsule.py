@@ -40,7 +40,7 @@ REFERENCE_STRAIN, LOG_STIFFNESS_SD, STRAIN_SD = 1.5, 0.7, 4.0
 SHEETS: Mapping[str, Sheet] = MappingProxyType(
     {
         "posteromedial": Sheet(
-            group="PMC", stiffness_kN=2.0, source="56 +- 20 N/mm [1]_ over 36 mm"
+            group="PMC", stiffness_kN=2.0, source="the middle of 1 to 3 kN, 56 +- 20 N/mm [1]_"
         ),
         "posterolateral": Sheet(
             group="PLC", stiffness_kN=1.0, source="the posterior capsule of published models [4]_"

@@ -25,7 +25,6 @@ from identknee.identify.design_criteria import (
     Step,
 )
 from identknee.identify.profile.result import chi2_threshold, f_threshold
-from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
@@ -89,8 +88,9 @@ class Design(Answer):
         default=None,
     )
     zero: str = entry("What coordinates of the data are counted from")
-    state: str = entry(
-        "State of the knee in which trials may be added: that with the most cuts", default=INTACT
+    states: tuple[str, ...] = entry(
+        "State of the knee in which each of these is to be made; empty where nothing is cut",
+        default=(),
     )
     degrees_of_freedom: int | None = entry(
         "Degrees of freedom of the noise estimated from the fit; null where the noise is stated"
@@ -115,7 +115,7 @@ class Design(Answer):
             trials=self.advised,
             flexion_deg=self.flexion_deg[chosen],
             loads=self.loads[chosen],
-            state=(self.state,) * n,
+            state=self.states or None,
         )
         return Laxity(
             protocol=protocol,
@@ -238,7 +238,9 @@ def design(
     offered = CandidateLaxity(
         model=setup.model,
         laxity=setup.laxity,
-        protocol=offered_trials if asked else with_state(offered_trials, state),
+        protocol=with_state(offered_trials, state)
+        if offered_trials.state is None
+        else offered_trials,
         sd=typical_errors(_with_errors(setup)),
         free=setup.free,
     )
@@ -274,6 +276,7 @@ def design(
         level=level,
         thresholds=chi2_threshold(level) if degrees is None else f_threshold(level, degrees),
     )
+    made_in = offered.protocol.state
     answer = Design(
         choice=choice,
         flexion_deg=offered.protocol.flexion_deg,
@@ -282,7 +285,7 @@ def design(
         coordinate_sd=None if setup.laxity.sd is None else offered.sd,
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
-        state=state,
+        states=() if made_in is None else tuple(made_in[i] for i in choice.chosen),
         assumptions=(
             *setup.assumptions,
             *about_errors,

@@ -118,7 +118,7 @@ def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResidual
 
 
 def _linearised_terms(setup: Identification, theta: Array) -> MarginalProblem:
-    """The same of a table with forces, which have errors in common with the coordinates."""
+    """The marginal problem of a table with forces, whose errors are shared with the coordinates."""
     everything, whole = setup.free.everything, _terms(setup)
     varied = ~everything.is_of_interest
     table = residuals_of(whole)

@@ -209,16 +209,16 @@ def unbounded_words(choice: ChosenTrials) -> str:
     return f"No candidate bounds {listed(named, 'or')}." if named else ""
 
 
-def _told(choice: ChosenTrials) -> tuple[str, str, str]:
-    """The target to tell of, and its interval now and with the trials: the first that changes."""
-    told = []
+def _headline(choice: ChosenTrials) -> tuple[str, str, str]:
+    """The target to speak of, and its interval now and with the trials: the first that changes."""
+    found = []
     for name in choice.targets:
         now, then = (
             interval_words(x.lower, x.upper, x.unit)
             for x in (choice.before[name], choice.after[name])
         )
-        told.append((name, now, then))
-    return next((x for x in told if x[1] != x[2]), told[0])
+        found.append((name, now, then))
+    return next((x for x in found if x[1] != x[2]), found[0])
 
 
 def _target_table(choice: ChosenTrials) -> Table:
@@ -259,7 +259,7 @@ class DesignPresenter(Presenter[Design]):
         if len(choice.targets) > MOST_NAMED:
             targets = f"all {len(choice.targets)} targets"
         trials = counted(map(trial_description, answer.trials))
-        name, now, then = _told(choice)
+        name, now, then = _headline(choice)
         words = capitalised(parameter_words(name))
         narrowing_words = f"{words} {'stays' if now == then else 'would then be'} {then}" + (
             "." if now == then else f"; it is {now} now."

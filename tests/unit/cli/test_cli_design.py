@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray
 from cli_runs import refused, run, short_protocol
 
 import identknee as ik
+from identknee.laxity.protocol import concatenate
 from identknee.subject.knee import BONES
 from identknee.verbs.files import load
 
@@ -144,3 +146,31 @@ def test_plans_that_say_too_little_are_refused(
     tmp_path: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     assert sentence in refused("design", "reference", *words, "--out", tmp_path)
+
+
+def test_trials_are_advised_in_the_state_in_which_the_knee_was_left(tmp_path: Path) -> None:
+    """Of the data, or of the candidates where these have states of their own."""
+    whole = ik.load_protocol("table2").select(range(9))
+    cut = replace(
+        whole, trials=tuple(f"{x}_cut" for x in whole.trials), state=("cut: MCL",) * whole.n
+    )
+    made = concatenate([whole, cut], name="made")
+    plain = whole.select([2, 4])
+    intact = replace(
+        plain, trials=tuple(f"{x}_now" for x in plain.trials), state=("intact", "cut: MCL")
+    )
+    for candidates, states in ((plain, {"cut: MCL"}), (intact, {"intact", "cut: MCL"})):
+        answer = ik.design(
+            ik.reference_knee(),
+            protocol=made,
+            candidates=candidates,
+            noise="0.5mm,0.5deg",
+            targets=["LCL.stiffness_kN"],
+            n_trials=2,
+            cost="cut=never,force=never,contact=never",
+            fixed=[x for x in HELD if x != "--fix"],
+        )
+        assert set(answer.states) <= states
+        assert answer.to_measure.protocol.state == (
+            None if set(answer.states) == {"intact"} else answer.states
+        )

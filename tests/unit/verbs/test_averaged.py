@@ -61,7 +61,7 @@ def test_it_starts_at_the_best_fit_of_all_parameters(marginal: Identification) -
 
 
 def _with_forces(knee: Knee, measured: Laxity) -> Laxity:
-    """The same of a rig whose cell has a constant error, with tensions and in-situ forces."""
+    """A rig whose cell has a constant error, with tensions and in-situ forces."""
     rig = Experiment(name="a", rig="r", mounting="r-1", uncertainty={"load_cell_N": 3.0})
     whole = joined([(rig, measured)])
     model = LaxityModel(knee=knee, protocol=whole.protocol)
