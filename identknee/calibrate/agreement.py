@@ -7,13 +7,16 @@ References
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import Problem, n_prior_rows, sum_of_squares
-from identknee.model.parameters import Parameters
+from identknee.calibrate.problem import (
+    Problem,
+    SelectedResiduals,
+    n_prior_rows,
+    sum_of_squares,
+)
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 
@@ -61,22 +64,8 @@ class Agreement:
         return min(self.terms, key=lambda x: (x.p_value, -x.rise))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
-    """Some of the residuals of a problem."""
-
-    problem: Problem
-    rows: IntArray
-
-    @property
-    def parameters(self) -> Parameters:
-        return self.problem.parameters
-
-    def residuals(self, theta: Array) -> Array:
-        return np.asarray(self.problem.residuals(theta)[self.rows])
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.asarray(self.problem.jacobian(theta)[self.rows])
+def _selected(problem: Problem, rows: IntArray) -> SelectedResiduals:
+    return SelectedResiduals(problem=problem, rows=rows)
 
 
 def agreement(
@@ -109,7 +98,8 @@ def agreement(
     used = np.r_[np.concatenate(list(terms.values())), priors]
     alone = {
         name: min(
-            2.0 * fit(_Rows(problem=problem, rows=rows), theta, budget=BUDGET).objective,
+            2.0
+            * fit(SelectedResiduals(problem=problem, rows=rows), theta, budget=BUDGET).objective,
             sum_of_squares(residuals[rows]),
         )
         for name, rows in places.items()

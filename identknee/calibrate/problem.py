@@ -176,6 +176,27 @@ def innermost(problem: Problem) -> Problem:
 
 
 @declared
+class SelectedResiduals:
+    """Some of the residuals of a problem."""
+
+    problem: Problem
+    rows: IntArray
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """The residuals chosen, shape ``(k,)``."""
+        return np.asarray(self.problem.residuals(theta)[self.rows])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(k, n)``."""
+        return np.asarray(self.problem.jacobian(theta)[self.rows])
+
+
+@declared
 class WhitenedResiduals:
     """A problem whose residuals are divided by the standard deviation of their noise."""
 
@@ -283,6 +304,9 @@ TABLE_TERM, LIGAMENT_TERM, NUISANCE_TERM = (
     "priors of nuisance parameters",
 )
 FORCE_TERM, SUPERPOSITION_TERM = "measured forces", "superposition"
+PLAUSIBILITY_TERM = "limits of plausibility"
+# What is believed of a knee and was not measured on it: no misfit of the data.
+BELIEFS = (LIGAMENT_TERM, PLAUSIBILITY_TERM)
 
 
 @declared
@@ -290,8 +314,8 @@ class EvidenceTerm:
     """A term of the deviance: what speaks about the knee, and how much of the misfit it has."""
 
     name: str = entry(
-        "Laxity table, measured forces, superposition (in-situ forces), priors of ligament "
-        "parameters or of nuisances"
+        "Laxity table, measured forces, superposition (in-situ forces), limits of plausibility, "
+        "priors of ligament parameters or of nuisances"
     )
     n: int = entry("Its values", unit="1")
     deviance: float = entry("Its sum of squared residuals", unit="1")
@@ -326,7 +350,7 @@ def evidence_terms(problem: Problem, theta: Array) -> tuple[EvidenceTerm, ...]:
 def misfit_square(problem: Problem, theta: Array) -> float:
     """Sum of squares of the data and of the priors of nuisances; inf without a prediction."""
     terms = evidence_terms(problem, theta)
-    return sum(x.deviance for x in terms if x.name != LIGAMENT_TERM) if terms else np.inf
+    return sum(x.deviance for x in terms if x.name not in BELIEFS) if terms else np.inf
 
 
 def n_prior_rows(problem: Problem) -> int:

@@ -4,6 +4,7 @@ import numpy as np
 
 from identknee.calibrate.agreement import Agreement, agreement
 from identknee.calibrate.problem import (
+    BELIEFS,
     TABLE_TERM,
     Problem,
     SumOfTerms,
@@ -46,7 +47,8 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
         found = {TABLE_TERM: next(iter(found.values()))}
     if isinstance(inner, SumOfTerms):
         ends = np.cumsum(inner.sizes)
-        names = list(inner.terms)
+        # Beliefs about a knee are no measurements with an error.
+        names = [x for x in inner.terms if x not in BELIEFS]
         found |= {name: np.arange(ends[i - 1], ends[i]) for i, name in enumerate(names) if i > 0}
     return {name: rows for name, rows in found.items() if rows.size >= LEAST_VALUES}
 

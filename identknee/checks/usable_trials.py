@@ -13,6 +13,7 @@ import scipy
 from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
     FORCE_TERM,
+    PLAUSIBILITY_TERM,
     SUPERPOSITION_TERM,
     TABLE_TERM,
     Problem,
@@ -30,6 +31,7 @@ from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.model.force_residuals import ForceResiduals
 from identknee.model.held_trials import HeldTrials
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, Weighting
@@ -167,7 +169,7 @@ class TrialSearch:
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
         residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
-        return with_nuisance_priors(with_bounds(with_forces(residuals), self.bounds))
+        return with_nuisance_priors(with_bounds(with_other_terms(residuals), self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
         """The same; a trial without equilibrium is held near its measured pose."""
@@ -245,30 +247,41 @@ def held_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
 
 def defined_everywhere(residuals: LaxityResiduals) -> Problem:
     """The same with the measured forces of trials that have an equilibrium."""
-    return with_forces(held_everywhere(residuals))
+    return with_other_terms(held_everywhere(residuals))
 
 
-def with_forces(residuals: LaxityResiduals) -> Problem:
-    """The residuals of a table, and those of the forces that were measured with it.
+def with_other_terms(residuals: LaxityResiduals) -> Problem:
+    """The residuals of a table, of forces measured with it, and of limits that the knee has.
 
     Raises
     ------
     ValueError
-        If there are forces, and the noise of the coordinates is not stated.
+        If there are forces or limits, and the noise of the coordinates is not stated.
     """
     laxity, everywhere = residuals.laxity, residuals.held is not None
-    forces = force_terms(residuals.model, laxity, is_everywhere=everywhere)
-    if not forces:
+    others = {
+        **force_terms(residuals.model, laxity, is_everywhere=everywhere),
+        **limit_terms(residuals.model, is_everywhere=everywhere),
+    }
+    if not others:
         return residuals
     if residuals.weighting != "noise":
+        what = "limits of plausibility" if residuals.model.knee.plausibility else "measured forces"
         raise ValueRefused(
-            "measured forces count beside coordinates only where the noise of both is known",
-            "state that of the coordinates with --noise, for example --noise 0.5mm,0.5deg",
+            f"{what} count beside coordinates only where the noise of these is known",
+            "state it with --noise, for example --noise 0.5mm,0.5deg",
         )
     n = int(laxity.is_measured.sum()) + (laxity.n if everywhere else 0)
     return SumOfTerms(
-        terms={TABLE_TERM: residuals, **forces}, sizes=(n, *(x.n for x in forces.values()))
+        terms={TABLE_TERM: residuals, **others}, sizes=(n, *(x.n for x in others.values()))
     )
+
+
+def limit_terms(model: LaxityModel, *, is_everywhere: bool = False) -> dict[str, LimitResiduals]:
+    """The residuals of the limits that a knee has, by the name of their term; none without."""
+    limits = model.knee.plausibility
+    made = LimitResiduals(model=model, limits=limits, is_everywhere=is_everywhere)
+    return {PLAUSIBILITY_TERM: made} if made.n else {}
 
 
 def force_terms(

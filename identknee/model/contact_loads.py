@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from identknee.mechanics.compartment_loads import CompartmentLoads, compartment_loads
+from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import MechanicsInputs
@@ -58,7 +60,11 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
     amplitudes = model.amplitudes(theta)
     settings = model.extension.changes(model.setting(theta, is_changed=False), amplitudes)
     contact, field = model.surfaces(settings[-1])
-    pairs = list(model.extension.contact_pairs(settings, amplitudes))
+    # Each with the field of its surfaces, which all trials share.
+    pairs = [
+        (k, step, [(x, *model.surfaces(x)) for x in (low, high)])
+        for k, step, low, high in model.extension.contact_pairs(settings, amplitudes)
+    ]
     for row, trial in enumerate(trials):
         if not prediction.is_converged[trial]:
             continue
@@ -66,23 +72,39 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
         flexion = float(settings[-1].flexion[node])
         loads = compartment_loads(contact, field, flexion, pose, model.joint.contact.points)
         jacobian[row] = loads.by_pose @ prediction.pose_jacobian[trial]
-        for k, step, low, high in pairs:
-            (before, less), (after, more) = (
-                _moved(model, loads, x, node, pose) for x in (low, high)
-            )
+        if pairs:
+            made = [_change(loads, step, x, node, pose) for _, step, x in pairs]
             changes = loads.derivatives(
-                (after - before)[:, :, None] / step, (more - less)[:, None] / step
+                np.stack([x for x, _ in made], axis=2), np.stack([x for _, x in made], axis=1)
             )
-            jacobian[row, :, :, model.n_ligament_parameters + k] += changes[:, :, 0]
+            columns = [model.n_ligament_parameters + k for k, _, _ in pairs]
+            jacobian[row, :, :, columns] += np.moveaxis(changes, 2, 0)
     return jacobian
 
 
-def _moved(
-    model: LaxityModel, found: CompartmentLoads, setting: MechanicsInputs, node: int, pose: Array
+Surfaces = tuple[MechanicsInputs, ContactPoints, DistanceField]
+
+
+def _change(
+    found: CompartmentLoads, step: float, ends: Sequence[Surfaces], node: int, pose: Array
 ) -> tuple[Array, Array]:
-    """Where the points that touch lie under other inputs, and their force were they as deep."""
-    contact, field = model.surfaces(setting)
-    touching = found.touching
-    placed = place(float(setting.flexion[node]), pose)
-    places = field.to_field(placed.to_femur(contact.points[touching.index]))
-    return places, found.force_under(setting.law)
+    """How the points that touch move, and their force at the same depth changes, by an amplitude.
+
+    Parameters
+    ----------
+    found
+        The contact.
+    step
+        Difference of the amplitude.
+    ends
+        Inputs and surfaces with it a little smaller and larger.
+    node, pose
+        Flexion angle and pose of the trial.
+    """
+    touching, places, forces = found.touching, [], []
+    placed = {x: place(x, pose) for x in {float(one.flexion[node]) for one, _, _ in ends}}
+    for setting, contact, field in ends:
+        on_femur = placed[float(setting.flexion[node])].to_femur(contact.points[touching.index])
+        places.append(field.to_field(on_femur))
+        forces.append(found.force_under(setting.law))
+    return (places[1] - places[0]) / step, (forces[1] - forces[0]) / step

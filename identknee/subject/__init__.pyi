@@ -3,6 +3,9 @@ from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
 from .knee import Ligament as Ligament
 from .opensim_export import write_opensim as write_opensim
+from .plausibility import Limit as Limit
+from .plausibility import default_limits as default_limits
+from .plausibility import read_limits as read_limits
 from .surface import Surface as Surface
 from .surface import joined as joined
 from .surface import write_surface as write_surface

@@ -42,6 +42,7 @@ from identknee.subject.knee import (
     Uncertainty,
     frames_from_landmarks,
 )
+from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import read_surface, write_surface
 
@@ -61,6 +62,8 @@ Point = Annotated[
     custom_message("three numbers are wanted, got {}", "Write [x, y, z] with points in mm."),
 ]
 _EXAMPLES = {
+    **LIMIT_EXAMPLES,
+    "donor_age": "donor_age = 71.0 (years)",
     "format": f"format = {FORMAT}",
     "name": 'name = "..." (any text)',
     "side": 'side = "right" or side = "left"',
@@ -276,6 +279,10 @@ class SubjectTables(Part):
         ),
     ] = Field(default_factory=list)
     poses: Annotated[list[Annotated[PoseTable, _POSES]], _POSES] = Field(default_factory=list)
+    plausibility: Annotated[list[Annotated[LimitTable, LIMITS]], LIMITS] = Field(
+        default_factory=list
+    )
+    donor_age: Number | None = None
 
     uncertainty: Annotated[
         UncertaintyTable, custom_message(_TABLE, "Write it below a line [uncertainty].")
@@ -577,6 +584,11 @@ def _read(file: Path) -> Knee:
         bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
         groups=tuple(groups),
         poses=poses,
+        limits=tuple(
+            _made(file, f"[[{KEY}]] block {i + 1}", x.limit)
+            for i, x in enumerate(tables.plausibility)
+        ),
+        donor_age=tables.donor_age,
         fitted=read_fitted(file.parent) if file.name == FILE else {},
         contact_rounding_mm=tables.contact_rounding_mm,
     )
@@ -614,6 +626,7 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
             side=knee.side,
             description=knee.description,
             contact_rounding_mm=float(knee.contact_rounding_mm) or None,
+            donor_age=knee.donor_age,
         ),
         *("", "[surfaces]", *_rows(**dict(zip(SURFACES, surfaces, strict=True)))),
     ]
@@ -649,12 +662,30 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
         lines += _rows(sd=prior.sd, log_sd=prior.log_sd, center=prior.center)
     for group in knee.groups:
         lines += ["", "[[groups]]", *_rows(name=group.name, members=list(group.members))]
+    lines += [row for limit in knee.limits for row in ("", *_limit_rows(limit))]
     for pose in knee.poses:
         lines += ["", "[[poses]]", *_rows(flexion_deg=float(pose.flexion_deg))]
         lines += _rows(coordinates=pose.coordinates)
     if knee.bounds:
         lines += ["", "[bounds]", *_rows(**{_toml(k): list(x) for k, x in knee.bounds.items()})]
     return "\n".join(lines) + "\n"
+
+
+def _limit_rows(limit: Limit) -> list[str]:
+    """A limit of plausibility as its table has it."""
+    pair = f"{{ mean = {_toml(limit.size)}, sd = {_toml(limit.spread)} }}"
+    size = (
+        _rows(within=limit.size, scale=limit.spread)
+        if limit.form == "within"
+        else [f"{limit.form} = {pair}"]
+    )
+    what = (
+        _rows(difference_of=[limit.quantity, limit.less])
+        if limit.less
+        else _rows(quantity=limit.quantity)
+    )
+    which = _rows(trials=None if limit.trials == "all" else limit.trials)
+    return [f"[[{KEY}]]", *what, *size, *which, *_rows(source=limit.source or None)]
 
 
 def _rows(**values: Any) -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused, suggestion
+from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits
 from identknee.subject.surface import Surface
 
 BONES = ("femur", "tibia")
@@ -749,6 +750,7 @@ def pose_at(poses: Sequence[KnownPose], flexion_deg: Array) -> Array:
 Side = Literal["right", "left"]
 # mm: what the distance field allows for.
 MOST_CONTACT_ROUNDING = 0.15
+OLDEST = 120.0
 
 
 @declared
@@ -799,6 +801,12 @@ class Knee:
         Ligaments whose parameters are tied.
     poses
         Where the knee is known to be, so that searches for equilibria begin there.
+    limits
+        Limits of what the knee does that the subject states; they count where they are asked for.
+    plausibility
+        Limits that count as evidence in fits: see `with_plausibility`.
+    donor_age
+        Age of the donor [years]; None if unknown. The usual limits depend on it.
     fitted
         Parameters by name at which the knee was fitted: a search starts there.
     contact_rounding_mm
@@ -830,6 +838,9 @@ class Knee:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     groups: tuple[LigamentGroup, ...] = ()
     poses: tuple[KnownPose, ...] = ()
+    limits: Limits = ()
+    plausibility: Limits = ()
+    donor_age: float | None = None
     fitted: Mapping[str, float] = field(default_factory=dict)
     contact_rounding_mm: float = 0.0
     femur_distance: Callable[[Array], Array] | None = None
@@ -855,9 +866,14 @@ class Knee:
                 f"{self.contact_rounding_mm:g}",
                 "leave it out for the law without rounding",
             )
+        if self.donor_age is not None and not 0.0 < self.donor_age < OLDEST:
+            raise ValueRefused(
+                f"donor_age must be 0 to {OLDEST:g} years, got {self.donor_age:g}",
+                "leave it out if it is unknown",
+            )
         self.uncertainty.check_ligaments(ligaments)
         check_groups(self.groups, self.ligaments)
-        for kept in ("tibia", "ligaments", "landmarks", "effects", "groups", "poses"):
+        for kept in ("tibia", "ligaments", "landmarks", "effects", "groups", "poses", "limits"):
             object.__setattr__(self, kept, tuple(getattr(self, kept)))
 
     @property
@@ -890,6 +906,25 @@ class Knee:
     def with_uncertainty(self, uncertainty: Uncertainty) -> "Knee":
         """A copy with another stated uncertainty."""
         return replace(self, uncertainty=uncertainty)
+
+    def with_plausibility(self, asked: PlausibleLike) -> "Knee":
+        """A copy in which limits count as evidence.
+
+        Parameters
+        ----------
+        asked
+            ``"default"`` for the limits that the subject states, or the usual ones where it states
+            none; ``"none"`` for none; a file; or the limits themselves. As they are if None.
+
+        Raises
+        ------
+        ValueError
+            If they cannot be read.
+        """
+        if asked is None:
+            return self
+        usual = default_limits([x.name for x in self.ligaments], self.donor_age)
+        return replace(self, plausibility=plausible_limits(asked, self.limits or usual))
 
     def in_scan_frame(self, points: Array) -> Array:
         """Points of the common frame [mm], shape ``(..., 3)``, where the scan has them, or back.

@@ -202,7 +202,7 @@ def design(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Design:
     """Which laxity trials to add to those measured, so that they tell what is left open.
 

@@ -117,7 +117,7 @@ def equivalents(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Equivalents:
     """Parameter sets that the data cannot distinguish, as different as possible.
 

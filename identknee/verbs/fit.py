@@ -24,6 +24,7 @@ from identknee.calibrate.problem import (
     Problem,
     evaluate,
     evidence_terms,
+    misfit_square,
     typical_steps,
     with_all_priors,
 )
@@ -41,6 +42,7 @@ from identknee.checks.fit_checks import (
     unstated_misfit_findings,
 )
 from identknee.checks.left_out_trials import named_trials
+from identknee.checks.limit_price import PlausibilityPrice, plausibility_price
 from identknee.checks.term_agreement import agreement_findings, term_agreement
 from identknee.checks.usable_trials import (
     TrialSearch,
@@ -52,7 +54,7 @@ from identknee.checks.usable_trials import (
     starts_elsewhere,
     table_model,
     unfitted_findings,
-    with_forces,
+    with_other_terms,
 )
 from identknee.identify.optimum import (
     N_STARTS,
@@ -362,6 +364,10 @@ class Calibration(SimulatedLaxity):
     optima: tuple[Optimum, ...] = entry(
         "Other ends that fit as well at the 95 % level", rows="optimum", group="optima", default=()
     )
+    plausibility: PlausibilityPrice | None = entry(
+        "Limits of plausibility at the fit and what they cost; none where none count",
+        default=None,
+    )
     agreement: Agreement | None = entry(
         "Whether experiments, states and forces agree; null where the data have one term",
         default=None,
@@ -495,7 +501,7 @@ def fit(
     ] = N_STARTS,
     continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Calibration:
     """One parameter set fitted to measured laxity: the lowest end of a few searches.
 
@@ -515,8 +521,10 @@ def fit(
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"
-    elif measured.sd is not None and (measured.has_forces or measured.protocol.experiments):
-        # Forces and coordinates, or rigs of different noise, count together in its units alone.
+    elif measured.sd is not None and (
+        measured.has_forces or measured.protocol.experiments or subject.plausibility
+    ):
+        # In its units alone do forces, limits or rigs of different noise count together.
         weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
@@ -566,6 +574,15 @@ def fit(
             held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     whole = with_all_priors(problem) if is_with_priors else problem
+    price = None
+    if np.isfinite(found.objective):
+        price = plausibility_price(
+            problem,
+            trials.problem_everywhere(used.laxity),
+            [*(x.theta for x in fits[:1]), used.start],
+            executor=run.executor,
+            budget=BRIEF if problem.parameters.nuisance_names else budget,
+        )
     compared = None
     if weighting == "noise" and not is_robust and np.isfinite(found.objective):
         compared = term_agreement(whole, used.laxity, found.theta, seed=seed)
@@ -583,6 +600,7 @@ def fit(
         if found.outcome is Outcome.START_FAILED
         else compared_forces(problem, found.theta),
         evidence=evidence_terms(whole, found.theta),
+        plausibility=price,
         agreement=compared,
         assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
         uncertainty=subject.uncertainty.words,
@@ -628,8 +646,8 @@ def _findings(
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-        residuals = with_forces(weighted).residuals(found.theta)
-        misfit = misfit_findings(float(residuals @ residuals), residuals.size, n_free)
+        square = misfit_square(with_other_terms(weighted), found.theta)
+        misfit = misfit_findings(square, laxity.n_values, n_free)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     held = (*found.fixed, *found.parameters.nuisance_names)

@@ -8,7 +8,7 @@ import numpy as np
 
 from identknee.calibrate.fit import Fit, StartLike, fit, load_start
 from identknee.calibrate.problem import (
-    LIGAMENT_TERM,
+    BELIEFS,
     Problem,
     RestrictedProblem,
     WhitenedResiduals,
@@ -41,7 +41,7 @@ from identknee.checks.usable_trials import (
     starts_elsewhere,
     table_model,
     trial_names,
-    with_forces,
+    with_other_terms,
 )
 from identknee.identify.optimum import (
     N_STARTS,
@@ -129,9 +129,9 @@ class Identification:
         """
         theta, parameters = np.asarray(theta), self.problem.parameters
         whole = self.free.expand(theta)
-        # A ligament far from its prior is no misfit of the model.
+        # A ligament far from its prior, or a knee that is not plausible, is no misfit of the model.
         terms = evidence_terms(self.problem, theta)
-        deviance -= sum(x.deviance for x in terms if x.name == LIGAMENT_TERM)
+        deviance -= sum(x.deviance for x in terms if x.name in BELIEFS)
         if self.degrees_of_freedom is None:
             n = self.laxity.n_values
             misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
@@ -254,7 +254,7 @@ def identification(
         )
     if has_shared_errors(knee.uncertainty) or needs_weights(laxity):
         held = (fixed or ()) if needs_weights(laxity) else ()
-        first = fit(with_nuisance_priors(with_forces(residuals)), theta, fixed=held)
+        first = fit(with_nuisance_priors(with_other_terms(residuals)), theta, fixed=held)
         if first.outcome is Outcome.START_FAILED:
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
@@ -264,7 +264,7 @@ def identification(
         if has_shared_errors(knee.uncertainty):
             shared = shared_errors(residuals.model, first.theta)
         residuals = replace(residuals, laxity=laxity, shared=shared)
-    part = restricted(with_bounds(with_forces(residuals), limits), fixed or (), theta)
+    part = restricted(with_bounds(with_other_terms(residuals), limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:

@@ -68,7 +68,7 @@ def information(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> LocalIdentifiability:
     """Which combinations of parameters the data determine around the best fit, and how well.
 

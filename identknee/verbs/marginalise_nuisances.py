@@ -21,6 +21,7 @@ from identknee.identify.design import MarginalProblem
 from identknee.model.effects.effect import with_fixed_amplitudes
 from identknee.model.force_residuals import ForceResiduals
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
 from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array
@@ -77,7 +78,8 @@ def marginalise_nuisances(
 def _about(setup: Identification, best: Array) -> Identification:
     """The problem of the parameters of interest, nuisances marginalised at a best fit."""
     theta, everything = setup.free.expand(best), setup.free.everything
-    linear = (_linearised_terms if setup.laxity.has_forces else _linearised_residuals)(setup, theta)
+    has_terms = isinstance(innermost(setup.problem), SumOfTerms)
+    linear = (_linearised_terms if has_terms else _linearised_residuals)(setup, theta)
     asked, nuisances = setup.problem.parameters.names_of_interest, everything.nuisance_names
     kept = everything.with_fixed(nuisances, theta)
     bounded = BoundedProblem(problem=linear, parameters=kept.parameters)
@@ -118,7 +120,7 @@ def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResidual
 
 
 def _linearised_terms(setup: Identification, theta: Array) -> MarginalProblem:
-    """The marginal problem of a table with forces, whose errors are shared with the coordinates."""
+    """The marginal problem of a table with forces or limits, which share its errors."""
     everything, whole = setup.free.everything, _terms(setup)
     varied = ~everything.is_of_interest
     table = residuals_of(whole)
@@ -126,7 +128,7 @@ def _linearised_terms(setup: Identification, theta: Array) -> MarginalProblem:
     model = table.model
     terms: dict[str, Problem] = {TABLE_TERM: table}
     for name, term in whole.terms.items():
-        if isinstance(term, ForceResiduals):
+        if isinstance(term, ForceResiduals | LimitResiduals):
             terms[name] = replace(term, model=model)
         elif isinstance(term, SuperpositionResiduals):
             offset = term.offset_at(theta)

@@ -22,6 +22,7 @@ from identknee.runs import executors as workers
 from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.subject.knee import Knee, UncertainLike
+from identknee.subject.plausibility import PlausibleLike
 from identknee.verbs.values import BoundsLike, NoiseLike
 
 SubjectLike = Knee | PathLike
@@ -214,6 +215,17 @@ Priors = Annotated[
         "diagnose use them, all others do not.",
     ),
 ]
+Plausible = Annotated[
+    PlausibleLike,
+    option(
+        "Limits of what a knee does that count as evidence: default, none, or a file ending in "
+        ".toml. The default is those of the subject, or published strengths, strains and contact "
+        "balance.",
+        in_python="Or a list of `identknee.subject.Limit`.",
+        metavar="default|none|FILE",
+        typed=str | None,
+    ),
+]
 # In the texts of the options that take names of predictions.
 PREDICTIONS = (
     "Predictions are NAME.tension_N@TRIAL and NAME.strain_pct@TRIAL of a ligament, group or added "
@@ -283,6 +295,12 @@ class DataOptions(KneeOptions, total=False):
 
     keep: Keep
     leave_out: LeaveOut
+
+
+class FitOptions(DataOptions, total=False):
+    """Options of a run that fits: also whether limits of plausibility count."""
+
+    plausible: Plausible
 
 
 def trials_option(text: str, flag: str = "") -> Option:

@@ -178,7 +178,7 @@ def profile(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Profiles:
     """Which values of each parameter, or of any prediction, the data allow.
 

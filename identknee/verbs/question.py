@@ -29,6 +29,7 @@ IN_WORDS = {
     "fixed": "fixed parameters",
     "bounds": "bounds",
     "uncertainty": "uncertainty of knee and tests",
+    "plausibility": "limits of plausibility",
 }
 
 
@@ -53,6 +54,7 @@ class Question:
     fixed: tuple[str, ...] = entry("Parameters held at the start")
     bounds: Mapping[str, tuple[float, float]] = entry("Bounds that were stated, by parameter")
     uncertainty: Mapping[str, str] = entry("What of knee and tests was taken as uncertain")
+    plausibility: tuple[str, ...] = entry("Limits of plausibility that count", default=())
 
     def differences(self, other: "Question") -> tuple[str, ...]:
         """In what another question differs, in words; empty where both ask the same."""
@@ -66,7 +68,7 @@ class Question:
 def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, Any]) -> Question:
     """The question that the arguments of a verb ask of a knee and of trials."""
     laxity = asked.laxity
-    weighting = _weighting(laxity, arguments)
+    weighting = _weighting(knee, laxity, arguments)
     mm, deg = _noise(laxity, arguments.get("noise"))
     priors = arguments.get("priors")
     return Question(
@@ -80,6 +82,7 @@ def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, 
         fixed=tuple(arguments.get("fixed") or ()),
         bounds={**knee.bounds, **bounds_of(arguments.get("bounds"))},
         uncertainty=knee.uncertainty.words,
+        plausibility=tuple(x.name for x in knee.plausibility),
     )
 
 
@@ -88,8 +91,9 @@ def has_priors(verb: str, asked: bool | None) -> bool:  # noqa: FBT001 - as the 
     return verb in WITH_PRIORS if asked is None else asked
 
 
-def _weighting(laxity: Laxity, arguments: Mapping[str, Any]) -> str:
-    if (laxity.has_forces and laxity.sd is not None) or arguments.get("noise") is not None:
+def _weighting(knee: Knee, laxity: Laxity, arguments: Mapping[str, Any]) -> str:
+    has_more = laxity.has_forces or bool(knee.plausibility)
+    if (has_more and laxity.sd is not None) or arguments.get("noise") is not None:
         return "noise"
     if "weighting" in arguments:
         return str(arguments["weighting"])

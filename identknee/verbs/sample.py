@@ -545,7 +545,7 @@ def sample(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Sample:
     """The posterior of the parameters given the data, and whether it can be trusted.
 

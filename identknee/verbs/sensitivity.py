@@ -86,7 +86,7 @@ def sensitivity(
     start: options.Start = "subject",
     fixed: options.Fixed = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> GlobalSensitivity:
     """Which parameters the laxity of a knee depends on.
 

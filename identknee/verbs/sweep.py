@@ -123,7 +123,7 @@ def sweep(
     bounds: options.Bounds = None,
     priors: options.Priors = None,
     seed: options.Seed = 0,
-    **_: Unpack[options.DataOptions],
+    **_: Unpack[options.FitOptions],
 ) -> Sweep:
     """Where searches from many starts end, and why there.
 

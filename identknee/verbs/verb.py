@@ -48,6 +48,8 @@ def knee_digest(knee: Knee) -> str:
     if stated != (EXACTLY, [], []):
         parts.append(repr(stated).encode())
     known = [(x.flexion_deg, x.coordinates.tolist()) for x in knee.poses]
+    if knee.plausibility:
+        parts.append(repr(knee.plausibility).encode())
     further = (knee.groups, known, sorted(knee.fitted.items()))
     if further != ((), [], []):
         parts.append(repr(further).encode())
@@ -271,6 +273,7 @@ def _run(
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
+    knee = knee.with_plausibility(arguments.get("plausible"))
     asked = None
     if "leave_out" in arguments:
         named = {k: arguments[k] or () for k in ("keep", "leave_out")}

@@ -1,6 +1,7 @@
 """The test of ranks, and replicates of a problem whose posterior is known to be right."""
 
 import numpy as np
+import pytest
 from problems import Linear, plain_parameters
 from sbc_replicates import N_DRAWS, ranked, simultaneous_level
 
@@ -31,6 +32,7 @@ def replicate(number: int, understated: float) -> np.ndarray:
     return np.asarray(row["ranks"])
 
 
+@pytest.mark.slow
 def test_a_right_posterior_passes_and_an_understated_noise_does_not() -> None:
     for understated, is_right in ((1.0, True), (3.0, False)):
         ranks = np.array([replicate(i, understated) for i in range(REPLICATES)])

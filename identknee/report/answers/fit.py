@@ -37,6 +37,8 @@ NO_ERROR = 1e-4
 MOST_ERRORS = 8
 # Other optima that a terminal shows.
 MOST_OPTIMA = 4
+# Limits that a terminal shows.
+MOST_LIMITS = 5
 # Fits in a figure.
 MOST_LINES = 4
 
@@ -71,6 +73,35 @@ def evidence_tables(answer: Calibration) -> Iterator[Table]:
             "Terms of the deviance at the fit",
             ("term", ("values", 0), ("deviance", 2), ("share", 2)),
             ((x.name, x.n, x.deviance, x.share) for x in answer.evidence),
+        )
+
+
+def plausibility_tables(answer: Calibration) -> Iterator[Table]:
+    """Limits of plausibility: what the fit has there and what each costs."""
+    if (found := answer.plausibility) is not None:
+        yield table(
+            f"Limits of plausibility: price {found.price:.3g}, of which the data pay "
+            f"{found.of_data:.3g}",
+            (
+                "limit",
+                ("at the fit", 1),
+                ("mean or most", 0),
+                ("sd or scale", 0),
+                ("deviance", 2),
+                ("saved without it", 2),
+            ),
+            (
+                (
+                    x.limit.name,
+                    x.limit.value,
+                    x.limit.size,
+                    x.limit.spread,
+                    x.limit.deviance,
+                    x.drop_one,
+                )
+                for x in sorted(found.limits, key=lambda x: -x.limit.deviance)
+            ),
+            most=MOST_LIMITS,
         )
 
 
@@ -163,6 +194,7 @@ class CalibrationPresenter(Presenter[Calibration]):
                 ),
             ),
             *evidence_tables(answer),
+            *plausibility_tables(answer),
             *agreement_tables(answer),
             *nuisance_tables(answer),
             *optima_tables(answer),

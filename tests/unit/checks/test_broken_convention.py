@@ -159,6 +159,7 @@ def test_a_tibia_that_moves_against_its_load_is_seen_in_the_table_alone(
     assert (found.values["coordinate"], found.values["load"]) == (COORDINATES[k], load)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_searches")
 def test_the_measured_specimen_moves_with_its_loads() -> None:
     laxity = ik.example_laxity("s192803")

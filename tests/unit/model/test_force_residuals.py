@@ -9,7 +9,7 @@ from bundled_knee import bundled_knee
 
 import identknee as ik
 from identknee.calibrate.problem import FORCE_TERM, TABLE_TERM
-from identknee.checks.usable_trials import defined_everywhere, with_forces
+from identknee.checks.usable_trials import defined_everywhere, with_other_terms
 from identknee.laxity.experiment_tables import read_experiments
 from identknee.laxity.forces import MeasuredForces
 from identknee.model.force_residuals import ForceResiduals
@@ -132,6 +132,7 @@ def knee_values(knee: ik.Knee) -> Array:
     return np.array([*stiffness, *(x.reference_strain_pct for x in knee.ligaments)])
 
 
+@pytest.mark.slow
 def test_forces_narrow_what_laxity_leaves_open() -> None:
     """Exactly as their information adds to that of the table."""
     laxity = _laxity()
@@ -139,7 +140,7 @@ def test_forces_narrow_what_laxity_leaves_open() -> None:
     model = LaxityModel(knee=knee, protocol=PROTOCOL)
     theta = model.parameters.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    whole = with_forces(residuals).jacobian(theta)
+    whole = with_other_terms(residuals).jacobian(theta)
     n = 5 * PROTOCOL.n
     np.testing.assert_array_equal(whole[:n], residuals.jacobian(theta))
     without, beside = (np.sqrt(np.diag(np.linalg.inv(x.T @ x))) for x in (whole[:n], whole))
@@ -161,7 +162,7 @@ def test_a_trial_without_equilibrium_leaves_its_forces_out() -> None:
     model = LaxityModel(knee=ik.reference_knee(), protocol=PROTOCOL)
     theta = model.parameters.vector({f"{x}.reference_strain_pct": -15.0 for x in ("ACL", "PCL")})
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    assert np.isinf(with_forces(residuals).residuals(theta)).all()
+    assert np.isinf(with_other_terms(residuals).residuals(theta)).all()
     held = defined_everywhere(residuals)
     assert np.isfinite(held.residuals(theta)).all()
     assert np.isfinite(held.jacobian(theta)).all()

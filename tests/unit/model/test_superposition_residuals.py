@@ -10,7 +10,7 @@ from replayed_paths import SD, SD_N, Row, in_situ_forces
 
 import identknee as ik
 from identknee.calibrate.problem import SUPERPOSITION_TERM, TABLE_TERM
-from identknee.checks.usable_trials import defined_everywhere, with_forces
+from identknee.checks.usable_trials import defined_everywhere, with_other_terms
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.protocol import Protocol
@@ -175,7 +175,7 @@ def test_they_are_a_term_of_their_own_and_leave_lost_trials_out() -> None:
     model = LaxityModel(knee=ik.reference_knee(), protocol=PROTOCOL)
     laxity = _laxity(model, _made(model, pose_sd=(0.1, 0.1)))
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
-    whole = with_forces(residuals)
+    whole = with_other_terms(residuals)
     theta = _theta(model)
     assert whole.residuals(theta).size == 10 + 18
     lost = model.parameters.vector({f"{x}.reference_strain_pct": -15.0 for x in ("ACL", "PCL")})

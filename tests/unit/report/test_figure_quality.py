@@ -15,6 +15,7 @@ from figure_checks import (
     text_contrasts,
 )
 from matplotlib.figure import Figure
+from slow_cases import some_slow
 
 from identknee.report.page.page import report_drawings
 from identknee.report.page.results import found_results
@@ -52,7 +53,7 @@ def test_figures_can_be_read(verb: str) -> None:
         assert code_names(figure) == [], name
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo", "diagnose"]))
 def test_letters_are_large_enough_on_every_page(verb: str) -> None:
     for name, svg in pictures(verb).items():
         for width in WIDTHS:

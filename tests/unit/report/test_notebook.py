@@ -14,6 +14,7 @@ from diagnoses import FRAME, answered
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
 from report_folders import straight_profiles
+from slow_cases import some_slow
 
 import identknee as ik
 from identknee.runs.record import record
@@ -47,7 +48,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
     return ik.add_noise(laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
 
 
-@pytest.mark.parametrize("verb", ANSWERS)
+@pytest.mark.parametrize("verb", some_slow(ANSWERS, ["diagnose"]))
 def test_every_answer_is_short_to_see(verb: str) -> None:
     answer = ANSWERS[verb]()
     text, html = repr(answer), answer._repr_html_()

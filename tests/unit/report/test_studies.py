@@ -9,10 +9,12 @@ from types import ModuleType
 import pytest
 from figure_checks import clipped, code_names, drawn, empty_axes, overlapping
 from matplotlib.figure import Figure
+from slow_cases import some_slow
 
 STUDIES = Path(__file__).parents[3] / "studies"
 PAPER = "13_paper"  # draws a page of the documentation, and has a test of its own
 NAMES = sorted({x.parent.name for x in STUDIES.glob("*/compute.py")} - {PAPER})
+SLOW = ("02_initial_guess", "04_profiles", "05_posterior")
 LARGEST_RECORD = 1_000_000  # bytes
 
 
@@ -26,7 +28,7 @@ def load(study: str, name: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("study", NAMES)
+@pytest.mark.parametrize("study", some_slow(NAMES, SLOW))
 def test_figures_are_drawn_from_the_committed_record(
     study: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -84,12 +84,12 @@ def _with_forces(knee: Knee, measured: Laxity) -> Laxity:
 
 
 @pytest.fixture(scope="module")
-def with_forces(knee: Knee, measured: Laxity) -> Identification:
+def with_other_terms(knee: Knee, measured: Laxity) -> Identification:
     setup = identification(knee, _with_forces(knee, measured), fixed=FIXED)
     return marginalise_nuisances(setup, seed=0, executor=serial)[0]
 
 
-@pytest.mark.parametrize("which", ["marginal", "with_forces"])
+@pytest.mark.parametrize("which", ["marginal", "with_other_terms"])
 def test_information_is_that_of_the_marginal_covariance(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -102,7 +102,7 @@ def test_information_is_that_of_the_marginal_covariance(
     np.testing.assert_allclose(np.linalg.inv(own.T @ own), covariance, rtol=SOLVED)
 
 
-@pytest.mark.parametrize("which", ["marginal", "with_forces"])
+@pytest.mark.parametrize("which", ["marginal", "with_other_terms"])
 def test_the_gradient_is_that_of_the_deviance_with_nuisances_fitted_anew(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -128,10 +128,10 @@ def test_it_says_how_far_predictions_bend(marginal: Identification) -> None:
     assert 10 <= int(n_draws) <= 16
 
 
-def test_forces_beside_stated_errors_have_equivalents(with_forces: Identification) -> None:
-    said = with_forces.assumptions[-1]
+def test_forces_beside_stated_errors_have_equivalents(with_other_terms: Identification) -> None:
+    said = with_other_terms.assumptions[-1]
     assert re.findall(r"\d+(?:\.\d+)?", said)[0] == str(25 + 3)
-    knee, laxity = with_forces.knee, with_forces.laxity
+    knee, laxity = with_other_terms.knee, with_other_terms.laxity
     found = ik.equivalents(knee, laxity, n_sets=2, forces="none", fixed=FIXED)
     assert all(x.startswith(("ACL", "PCL")) for x in found.region.parameters)
     alone = ik.equivalents(knee, laxity.without_forces(), n_sets=2, forces="none", fixed=FIXED)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import short_protocol
+from slow_cases import some_slow
 
 import identknee as ik
 from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM
@@ -64,7 +65,7 @@ def _best(answer: Any) -> np.ndarray:
     return np.array([answer.optimum_by_name[x] for x in NAMES])
 
 
-@pytest.mark.parametrize("verb", CALLS)
+@pytest.mark.parametrize("verb", some_slow(CALLS, ("sample", "design")))
 def test_priors_count_where_they_are_asked_for(
     verb: str, laxity: ik.Laxity, certain: ik.Knee
 ) -> None:

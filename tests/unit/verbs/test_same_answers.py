@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cli_runs import run, said, short_protocol
+from slow_cases import some_slow
 
 import identknee as ik
 from identknee.report.export import export_subject
@@ -40,7 +41,7 @@ def laxity(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
     return ik.add_noise(ik.simulate(knee, protocol).laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
 
 
-@pytest.mark.parametrize("verb", CALLS)
+@pytest.mark.parametrize("verb", some_slow(CALLS, ("sample", "design", "equivalents")))
 def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: Path) -> None:
     function, options = CALLS[verb]
     data = ik.write_laxity(laxity, tmp_path / "data.csv")

@@ -1,0 +1,151 @@
+"""What limits of plausibility cost: how much better the data are fitted without them."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from identknee.calibrate.fit import fit
+from identknee.calibrate.problem import (
+    PLAUSIBILITY_TERM,
+    Problem,
+    SelectedResiduals,
+    SumOfTerms,
+    innermost,
+)
+from identknee.model.limit_residuals import LimitAtFit, LimitResiduals
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import OF_PARAMETER, declared, entry
+from identknee.runs.executors import Executor
+
+# A limit that adds less to the deviance costs nothing.
+ACTIVE = 0.1
+
+
+@declared
+class LimitPrice:
+    """A limit of plausibility at a fit, and what it costs."""
+
+    limit: LimitAtFit = entry("The limit")
+    drop_one: float = entry("How much lower the deviance is with all others but this one", unit="1")
+    alone: float = entry("How much it raises the deviance where it is the only limit", unit="1")
+
+
+@declared
+class PlausibilityPrice:
+    """What limits of plausibility cost together and each.
+
+    The price of some limits is the least deviance with them less that without any. It is never
+    above that of more limits, since each adds to the deviance what is not negative, and all are
+    compared over the same parameter sets.
+    """
+
+    limits: tuple[LimitPrice, ...] = entry("Each limit")
+    price: float = entry("What all limits cost: rise of the least deviance", unit="1")
+    of_data: float = entry(
+        "The part of it that data and priors pay; the rest is beyond the limits", unit="1"
+    )
+    without: dict[str, float] = entry(
+        "Parameters of the best fit without limits", unit=OF_PARAMETER
+    )
+
+
+class _Rows(NamedTuple):
+    """Residuals of a problem that are those of limits, and all others."""
+
+    limits: IntArray
+    others: IntArray
+
+    def with_limits(self, which: Sequence[int]) -> IntArray:
+        """All others and those of some limits, in their order."""
+        return np.sort(np.r_[self.others, self.limits[list(which)]])
+
+
+def limits_of(problem: Problem) -> LimitResiduals | None:
+    """The limits that count in a problem; None where none do."""
+    inner = innermost(problem)
+    found = inner.terms.get(PLAUSIBILITY_TERM) if isinstance(inner, SumOfTerms) else None
+    return found if isinstance(found, LimitResiduals) else None
+
+
+def plausibility_price(
+    problem: Problem,
+    everywhere: Problem,
+    thetas: Sequence[Array],
+    *,
+    executor: Executor,
+    budget: int | None = None,
+) -> PlausibilityPrice | None:
+    """What the limits of a fit cost; None where it has none.
+
+    The fit is repeated without any limit, without each that is active, and with that alone.
+
+    Parameters
+    ----------
+    problem, everywhere
+        The problem in units of the noise, and the same where a search may begin anywhere.
+    thetas
+        The fit, then other ends and starts of searches, shape ``(p,)`` each.
+    executor
+        Anything with an ordered ``map``.
+    budget
+        Simulations of each search.
+    """
+    limits = limits_of(problem)
+    if limits is None:
+        return None
+    at = limits.at_fit(thetas[0])
+    every = range(limits.n)
+    active = [i for i in every if at[i].deviance > ACTIVE]
+    asked = [(), *((i,) for i in active), *(tuple(j for j in every if j != i) for i in active)]
+    rows = _rows(everywhere)
+    tasks = [
+        (rows.with_limits(which), x)
+        for which in asked
+        for x in (thetas if not which else thetas[:1])
+    ]
+    ends = list(executor.map(partial(_end, everywhere, budget), tasks))
+    found = [(problem.residuals(theta), theta) for theta in (*thetas, *ends)]
+    known = [x for x in found if np.isfinite(x[0]).all()]
+    own = _rows(problem)
+    squares = np.array([x**2 for x, _ in known])
+    base, beyond = squares[:, own.others].sum(axis=1), squares[:, own.limits]
+
+    def least(which: Sequence[int]) -> float:
+        return float((base + beyond[:, list(which)].sum(axis=1)).min())
+
+    nothing, whole = least(()), least(every)
+    best = int((base + beyond.sum(axis=1)).argmin())
+    return PlausibilityPrice(
+        limits=tuple(
+            LimitPrice(
+                limit=at[i],
+                drop_one=whole - least([j for j in every if j != i]),
+                alone=least([i]) - nothing,
+            )
+            for i in every
+        ),
+        price=whole - nothing,
+        of_data=float(base[best]) - nothing,
+        without=dict(
+            zip(problem.parameters.names, known[int(base.argmin())][1].tolist(), strict=True)
+        ),
+    )
+
+
+def _rows(problem: Problem) -> _Rows:
+    inner = innermost(problem)
+    if not isinstance(inner, SumOfTerms):
+        raise TypeError(f"{type(inner).__name__} has no terms")
+    ends = np.cumsum(inner.sizes)
+    i = list(inner.terms).index(PLAUSIBILITY_TERM)
+    limits = np.arange(ends[i] - inner.sizes[i], ends[i])
+    m = problem.residuals(problem.parameters.center).size
+    return _Rows(limits=limits, others=np.setdiff1d(np.arange(m), limits))
+
+
+def _end(problem: Problem, budget: int | None, task: tuple[IntArray, Array]) -> Array:
+    rows, theta = task
+    part = SelectedResiduals(problem=problem, rows=rows)
+    return fit(part, theta, budget=budget).theta
