@@ -42,6 +42,7 @@ from identknee.runs.words import (
     two_values_words,
     unit_of,
 )
+from identknee.subject.plausibility import BUTLER, FAILURE_PCT, strengths_by_name
 
 # Share of a parameter's range: this close to an end it lies on it.
 AT_END = 1e-6
@@ -344,19 +345,8 @@ def shift_words(name: str) -> tuple[str, str]:
     return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
 
 
-# Mean load at which each fails [N]; lines whose names begin so are parts of it.
-FAILURE_N = {
-    "ACL": (2160.0, "Woo 1991, doi:10.1177/036354659101900303"),
-    "PCL": (1878.0, "both bundles, Race 1994, doi:10.1016/0021-9290(94)90028-0"),
-    "LCL": (295.0, "LaPrade 2005, doi:10.1177/0363546504274143"),
-    "MCL": (557.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
-    "sMCL": (557.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
-    "dMCL": (101.0, "Wijdicks 2010, doi:10.1177/0363546510363465"),
-}
-# Specimens differ: twice the mean is beyond any, and no laxity test should come near the mean.
+# Specimens differ: twice the mean strength is beyond any, and no laxity test should come near it.
 BEYOND = 2.0
-# Ligament tissue fails at about this strain [%].
-FAILURE_PCT, STRAIN_SOURCE = 15.0, "Butler 1986, doi:10.1016/0021-9290(86)90019-9"
 # Balanced knees without varus moment press both compartments alike to within 67 N; one side alone
 # with so much more [N] and less than such a share on the other is none.
 APART_N, LEAST_SHARE = 400.0, 0.1
@@ -455,7 +445,8 @@ def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Fi
 
 def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
     names = [x.name for x in model.knee.ligaments]
-    for ligament, (failure, source) in FAILURE_N.items():
+    strengths = strengths_by_name(model.knee.donor_age)
+    for ligament, (failure, _, source) in strengths.items():
         own = [k for k, name in enumerate(names) if name.startswith(ligament)]
         whole = tension[:, own].sum(axis=1)
         if not own or np.nanmax(whole) <= BEYOND * failure:
@@ -485,7 +476,7 @@ def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iter
             "strain_pct": own[worst],
             "load": load_words(model.protocol, worst),
             "failure_pct": FAILURE_PCT,
-            "source": STRAIN_SOURCE,
+            "source": BUTLER,
         }
         yield finding("implausible-strain", ligament.name, values)
 

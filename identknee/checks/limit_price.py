@@ -1,12 +1,12 @@
 """What limits of plausibility cost: how much better the data are fitted without them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from identknee.calibrate.fit import fit
+from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     PLAUSIBILITY_TERM,
     Problem,
@@ -17,7 +17,7 @@ from identknee.calibrate.problem import (
 from identknee.model.limit_residuals import LimitAtFit, LimitResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, declared, entry
-from identknee.runs.executors import Executor
+from identknee.runs.executors import Executor, serial
 
 # A limit that adds less to the deviance costs nothing.
 ACTIVE = 0.1
@@ -46,7 +46,7 @@ class PlausibilityPrice:
     of_data: float = entry(
         "The part of it that data and priors pay; the rest is beyond the limits", unit="1"
     )
-    without: dict[str, float] = entry(
+    without: Mapping[str, float] = entry(
         "Parameters of the best fit without limits", unit=OF_PARAMETER
     )
 
@@ -74,23 +74,24 @@ def plausibility_price(
     everywhere: Problem,
     thetas: Sequence[Array],
     *,
-    executor: Executor,
-    budget: int | None = None,
+    search: Callable[..., Fit] = fit,
+    executor: Executor = serial,
 ) -> PlausibilityPrice | None:
     """What the limits of a fit cost; None where it has none.
 
-    The fit is repeated without any limit, without each that is active, and with that alone.
+    The fit is repeated without each limit that is active, with that alone, and without any, from
+    the fit itself. Ends of all searches are compared under all of these.
 
     Parameters
     ----------
     problem, everywhere
         The problem in units of the noise, and the same where a search may begin anywhere.
     thetas
-        The fit, then other ends and starts of searches, shape ``(p,)`` each.
+        The fit, then ends of other searches with limits and without, shape ``(p,)`` each.
+    search
+        As `identknee.calibrate.fit`.
     executor
         Anything with an ordered ``map``.
-    budget
-        Simulations of each search.
     """
     limits = limits_of(problem)
     if limits is None:
@@ -100,12 +101,8 @@ def plausibility_price(
     active = [i for i in every if at[i].deviance > ACTIVE]
     asked = [(), *((i,) for i in active), *(tuple(j for j in every if j != i) for i in active)]
     rows = _rows(everywhere)
-    tasks = [
-        (rows.with_limits(which), x)
-        for which in asked
-        for x in (thetas if not which else thetas[:1])
-    ]
-    ends = list(executor.map(partial(_end, everywhere, budget), tasks))
+    parts = [SelectedResiduals(problem=everywhere, rows=rows.with_limits(which)) for which in asked]
+    ends = executor.map(partial(_end, search, thetas[0]), parts)
     found = [(problem.residuals(theta), theta) for theta in (*thetas, *ends)]
     known = [x for x in found if np.isfinite(x[0]).all()]
     own = _rows(problem)
@@ -117,6 +114,7 @@ def plausibility_price(
 
     nothing, whole = least(()), least(every)
     best = int((base + beyond.sum(axis=1)).argmin())
+    without = known[int(base.argmin())][1]
     return PlausibilityPrice(
         limits=tuple(
             LimitPrice(
@@ -128,9 +126,7 @@ def plausibility_price(
         ),
         price=whole - nothing,
         of_data=float(base[best]) - nothing,
-        without=dict(
-            zip(problem.parameters.names, known[int(base.argmin())][1].tolist(), strict=True)
-        ),
+        without=dict(zip(problem.parameters.names, without.tolist(), strict=True)),
     )
 
 
@@ -145,7 +141,5 @@ def _rows(problem: Problem) -> _Rows:
     return _Rows(limits=limits, others=np.setdiff1d(np.arange(m), limits))
 
 
-def _end(problem: Problem, budget: int | None, task: tuple[IntArray, Array]) -> Array:
-    rows, theta = task
-    part = SelectedResiduals(problem=problem, rows=rows)
-    return fit(part, theta, budget=budget).theta
+def _end(search: Callable[..., Fit], start: Array, problem: Problem) -> Array:
+    return np.asarray(search(problem, start).theta)

@@ -109,6 +109,12 @@ class TrialSearch:
     bounds: Mapping[str, tuple[float, float]]
     fixed: Sequence[str] = ()
 
+    @property
+    def without_limits(self) -> "TrialSearch":
+        """The same where no limit of plausibility counts."""
+        knee = self.model.knee.with_plausibility("none")
+        return replace(self, model=replace(self.model, knee=knee))
+
     def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
 

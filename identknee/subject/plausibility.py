@@ -184,7 +184,7 @@ def default_limits(ligaments: Sequence[str], donor_age: float | None = None) -> 
 
 
 def _default_limits(ligaments: Sequence[str], donor_age: float | None) -> Iterator[Limit]:
-    strengths = {ACL: (*acl_strength(donor_age), WOO), **STRENGTHS}
+    strengths = strengths_by_name(donor_age)
     for name, (mean, sd, source) in strengths.items():
         if any(x.startswith(name) for x in ligaments):
             yield Limit(
@@ -213,6 +213,11 @@ def _default_limits(ligaments: Sequence[str], donor_age: float | None) -> Iterat
             trials=trials,
             source=GUSTKE,
         )
+
+
+def strengths_by_name(donor_age: float | None = None) -> dict[str, tuple[float, float, str]]:
+    """Mean strength [N], standard deviation and source, by how the names of ligaments begin."""
+    return {ACL: (*acl_strength(donor_age), WOO), **STRENGTHS}
 
 
 def acl_strength(donor_age: float | None) -> tuple[float, float]:

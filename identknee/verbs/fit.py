@@ -549,13 +549,22 @@ def fit(
         found = replace(found, start=theta)
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
+    without: tuple[Fit, ...] = ()
     if more_starts and not is_robust and method == "least-squares":
-        fits = with_fits_from(
-            trials.problem_everywhere(used.laxity),
-            replace(found, start=used.start),
-            starts_elsewhere(model, used.start, more_starts, seed=seed),
+        points = starts_elsewhere(model, used.start, more_starts, seed=seed)
+        further = partial(
+            with_fits_from,
             executor=run.executor,
             budget=BRIEF if problem.parameters.nuisance_names else budget,
+        )
+        if subject.plausibility:
+            # What the limits cost is asked of the best fit without them.
+            everywhere = trials.without_limits.problem_everywhere(used.laxity)
+            first = plain(everywhere, used.start, fixed=trials.fixed)
+            without = further(everywhere, first, points)
+            points = np.vstack([points, without[0].theta])
+        fits = further(
+            trials.problem_everywhere(used.laxity), replace(found, start=used.start), points
         )
         # The lowest of all may hold every trial at its measured pose.
         fits = fits if np.isfinite(problem.residuals(fits[0].theta)).all() else (found,)
@@ -575,13 +584,14 @@ def fit(
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     whole = with_all_priors(problem) if is_with_priors else problem
     price = None
-    if np.isfinite(found.objective):
+    if np.isfinite(found.objective) and subject.plausibility:
+        everywhere = trials.problem_everywhere(used.laxity)
         price = plausibility_price(
-            problem,
-            trials.problem_everywhere(used.laxity),
-            [*(x.theta for x in fits[:1]), used.start],
+            whole,
+            with_all_priors(everywhere) if is_with_priors else everywhere,
+            [x.theta for x in (*fits, *without)],
+            search=partial(search, seed=seed, budget=budget, fixed=trials.fixed),
             executor=run.executor,
-            budget=BRIEF if problem.parameters.nuisance_names else budget,
         )
     compared = None
     if weighting == "noise" and not is_robust and np.isfinite(found.objective):

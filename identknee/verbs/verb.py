@@ -27,6 +27,7 @@ from identknee.subject.check import geometry_warnings
 from identknee.subject.examples import named_subject
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
+from identknee.subject.plausibility import Limit
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.arguments import read_arguments
@@ -71,7 +72,7 @@ BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 TOML = ".toml"
 READ, SUMMARY = (TOML, ".json", ".osim", ".csv", ".sto", ".mot"), "result.json"
 # Kept by their names in the record of a call.
-_NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect)
+_NAMED = (Knee, Protocol, MechanicalEffect, ObservationEffect, Limit)
 Arguments = ParamSpec("Arguments")
 Function = TypeVar("Function", bound=Callable[..., Any])
 Result = TypeVar("Result", bound=Answer)
