@@ -162,6 +162,17 @@ class Limit:
 
 
 Limits = tuple[Limit, ...]
+
+
+def limit_sentences(limits: Limits) -> tuple[str, ...]:
+    """That limits count, as a sentence for the user; none without limits."""
+    if not limits:
+        return ()
+    n = "1 limit" if len(limits) == 1 else f"{len(limits)} limits"
+    said = f"{n} of what a knee does {'counts' if len(limits) == 1 else 'count'} as evidence"
+    return (f"{said} beside the data. To leave out: --plausible none.",)
+
+
 PlausibleLike = str | Path | Sequence[Limit] | None
 
 

@@ -96,6 +96,7 @@ from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
+from identknee.subject.plausibility import limit_sentences
 from identknee.verbs import options
 from identknee.verbs.identification import BRIEF, with_noise
 from identknee.verbs.options import option
@@ -612,7 +613,13 @@ def fit(
         evidence=evidence_terms(whole, found.theta),
         plausibility=price,
         agreement=compared,
-        assumptions=(*input_findings(subject, measured), *pattern, *used.sentences, *tails),
+        assumptions=(
+            *input_findings(subject, measured),
+            *limit_sentences(subject.plausibility),
+            *pattern,
+            *used.sentences,
+            *tails,
+        ),
         uncertainty=subject.uncertainty.words,
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, fits, prediction, error, agreement_findings(compared)),

@@ -63,6 +63,7 @@ from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
+from identknee.subject.plausibility import limit_sentences
 from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
 from identknee.verbs.verb import warm_up
 
@@ -274,7 +275,8 @@ def identification(
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
     experiments = experiment_sentences(laxity)
-    said = (knee.uncertainty.sentence, *experiments, *pattern, *used.sentences, *blanks)
+    beliefs = limit_sentences(knee.plausibility)
+    said = (knee.uncertainty.sentence, *beliefs, *experiments, *pattern, *used.sentences, *blanks)
     assumptions = [*said, *_data_findings(laxity, asked)]
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)

@@ -49,8 +49,6 @@ def knee_digest(knee: Knee) -> str:
     if stated != (EXACTLY, [], []):
         parts.append(repr(stated).encode())
     known = [(x.flexion_deg, x.coordinates.tolist()) for x in knee.poses]
-    if knee.plausibility:
-        parts.append(repr(knee.plausibility).encode())
     further = (knee.groups, known, sorted(knee.fitted.items()))
     if further != ((), [], []):
         parts.append(repr(further).encode())
@@ -330,6 +328,8 @@ def _inputs(
 ) -> dict[str, str]:
     """SHA-256 of everything that came from outside the call."""
     inputs = {"subject": knee_digest(knee)}
+    if knee.plausibility:
+        inputs["plausibility"] = digest(repr(knee.plausibility).encode())
     is_one_file = isinstance(data, str | Path) and Path(data).suffix.lower() != TOML
     if laxity is not None:
         inputs["data"] = digest(laxity_file(data)) if is_one_file else laxity_digest(laxity)

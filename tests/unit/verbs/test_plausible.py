@@ -12,6 +12,7 @@ import identknee as ik
 from identknee.calibrate.problem import PLAUSIBILITY_TERM
 from identknee.subject.plausibility import Limit
 from identknee.verbs.answer import Answer
+from identknee.verbs.fitted_knee import fitted_knee
 
 LIMIT = Limit(form="strength", quantity="ACL.tension_N", size=200.0, spread=20.0)
 HELD = ["PCL.stiffness_kN", "LCL.stiffness_kN", "MCL.stiffness_kN", "LCL.reference_strain_pct"]
@@ -75,3 +76,17 @@ def test_noise_that_is_not_stated_is_asked_for(laxity: ik.Laxity) -> None:
     for function in (ik.fit, ik.profile):
         with pytest.raises(ValueError, match="--noise"):
             function("reference", unstated, plausible="default")
+
+
+def test_the_knee_of_a_result_is_known_again_and_its_limits_are_an_input(
+    laxity: ik.Laxity,
+) -> None:
+    options = {"fixed": HELD, "more_starts": 0}
+    plain = ik.fit("reference", laxity, **options)
+    found = ik.fit("reference", laxity, plausible=[LIMIT], weighting="noise", **options)
+    assert plain.record is not None
+    assert found.record is not None
+    assert found.record.inputs["subject"] == plain.record.inputs["subject"]
+    assert set(found.record.inputs) - set(plain.record.inputs) == {"plausibility"}
+    fitted = fitted_knee(ik.reference_knee(), found)
+    assert fitted.ligament("ACL").stiffness_kN == pytest.approx(found.search.theta[0])
