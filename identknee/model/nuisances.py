@@ -29,6 +29,7 @@ from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.subject.bone_surfaces import insertion_covariance
 from identknee.subject.knee import BONES, Knee
 
 # Standard deviations within which an amplitude lies.
@@ -133,7 +134,7 @@ def insertions(knee: Knee) -> LinearlyCombinedEffect:
     sds: list[float] = []
     places = [(x.name, bone) for x in knee.ligaments for bone in BONES]
     for place, (ligament, bone) in enumerate(places):
-        covariance = knee.uncertainty.insertion_covariance(ligament, bone)
+        covariance = insertion_covariance(knee, ligament, bone)
         is_diagonal = np.array_equal(covariance, np.diag(np.diag(covariance)))
         squares, directions = (
             (np.diag(covariance), np.eye(3)) if is_diagonal else np.linalg.eigh(covariance)

@@ -89,6 +89,14 @@ class SurfaceFiles(Part):
     femur: Text
     tibia_medial: Text
     tibia_lateral: Text
+    femur_bone: Text | None = None
+    tibia_bone: Text | None = None
+
+    @model_validator(mode="after")
+    def _has_both_bones(self) -> Self:
+        if (self.femur_bone is None) != (self.tibia_bone is None):
+            raise refusal("one bone is missing", "State femur_bone and tibia_bone, or neither.")
+        return self
 
 
 # Sphinx reads no f-strings in annotations.
@@ -162,6 +170,13 @@ class BoneSpreads(Part):
     tibia: Spread = 0.0
 
 
+class SurfaceSpreads(Part):
+    """Of all insertions, along the surface of the bone and across it."""
+
+    tangential: Number
+    normal: Number
+
+
 class GroupTable(Part):
     """A ``[[groups]]``: ligaments whose parameters are tied."""
 
@@ -189,11 +204,14 @@ class UncertaintyTable(Part):
     """``[uncertainty]``, any of it."""
 
     insertions_mm: Annotated[
-        Number | dict[str, BoneSpreads],
+        Number | SurfaceSpreads | dict[str, BoneSpreads],
         custom_message(
-            "{} is no spread", "Write insertions_mm = 2.0, or a table by ligament and bone."
+            "{} is no spread",
+            "Write insertions_mm = 2.0, { tangential = 4.0, normal = 1.0 }, or a table by "
+            "ligament and bone.",
         ),
     ] = 0.0
+    insertions_normal_mm: Number = 0.0
     registration_deg: Number = 0.0
     registration_mm: Number = 0.0
     load_axes_deg: Number = 0.0
@@ -406,6 +424,7 @@ def fitted_text(values: Mapping[str, float]) -> str:
 
 FILE = "subject.toml"
 SURFACES = ("femur", "tibia_medial", "tibia_lateral")
+BONE_SURFACES = ("femur_bone", "tibia_bone")
 Made = TypeVar("Made")
 
 
@@ -488,8 +507,11 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
     # Of a killed process, `prepare_folder` removes it.
     prefix = f".subject.{os.getpid()}-"
     with tempfile.TemporaryDirectory(prefix=prefix, suffix=".part", dir=target) as staging:
-        names = [f"{name}.ply" for name in SURFACES]
-        for surface, name in zip((written.femur, *written.tibia), names, strict=True):
+        surfaces = dict(zip(SURFACES, (written.femur, *written.tibia), strict=True))
+        if written.bones is not None:
+            surfaces |= dict(zip(BONE_SURFACES, written.bones, strict=True))
+        names = [f"{name}.ply" for name in surfaces]
+        for surface, name in zip(surfaces.values(), names, strict=True):
             write_surface(surface, Path(staging) / name)
         write_atomically(Path(staging) / FILE, _text(written, names))
         files = [*names, FILE]
@@ -561,7 +583,18 @@ def _read(file: Path) -> Knee:
         KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
         for x in tables.poses
     )
+    bones = None
+    if tables.surfaces.femur_bone and tables.surfaces.tibia_bone:
+        bones = (
+            read_surface(file.parent / tables.surfaces.femur_bone),
+            read_surface(file.parent / tables.surfaces.tibia_bone),
+        )
     stated = tables.uncertainty.model_dump()
+    if isinstance(spreads := tables.uncertainty.insertions_mm, SurfaceSpreads):
+        stated |= {
+            "insertions_mm": spreads.tangential,
+            "insertions_normal_mm": spreads.normal,
+        }
     knee = _made(
         file,
         "",
@@ -584,6 +617,7 @@ def _read(file: Path) -> Knee:
         bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
         groups=tuple(groups),
         poses=poses,
+        bones=bones,
         limits=tuple(
             _made(file, f"[[{KEY}]] block {i + 1}", x.limit)
             for i, x in enumerate(tables.plausibility)
@@ -628,7 +662,7 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
             contact_rounding_mm=float(knee.contact_rounding_mm) or None,
             donor_age=knee.donor_age,
         ),
-        *("", "[surfaces]", *_rows(**dict(zip(SURFACES, surfaces, strict=True)))),
+        *("", "[surfaces]", *_rows(**{x.removesuffix(".ply"): x for x in surfaces})),
     ]
     for bone, frame in (("femur", knee.femur_frame), ("tibia", knee.tibia_frame)):
         lines += ["", f"[frames.{bone}]", *_rows(origin=frame.origin, axes=frame.axes)]

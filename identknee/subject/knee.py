@@ -42,6 +42,9 @@ class Uncertainty:
     insertions_mm
         Insertions of the ligaments along each axis of their bone: one number for all, or by
         ligament and bone a number or a covariance [mm^2], shape ``(3, 3)``.
+    insertions_normal_mm
+        The same across the surface of the bone, where `insertions_mm` is one number: that is then
+        the error along the surface. 0 where it is the same in all directions.
     registration_deg, registration_mm
         Rotation about, and translation along, each axis of each bone's measured frame against the
         frame of its geometry.
@@ -77,6 +80,10 @@ class Uncertainty:
     """
 
     insertions_mm: float | Spreads = field(default=0.0, metadata={"meaning": "insertions"})
+    # Records of knees that state no such size are those of before.
+    insertions_normal_mm: float = field(
+        default=0.0, repr=False, metadata={"meaning": "insertions across the bone"}
+    )
     registration_deg: float = _stated("turn of the measured frames")
     registration_mm: float = _stated("shift of the measured frames")
     load_axes_deg: float = _stated("load axes")
@@ -101,6 +108,13 @@ class Uncertainty:
                 object.__setattr__(self, name, _checked_spreads(value))
             else:
                 object.__setattr__(self, name, _checked(name, value))
+        if self.insertions_normal_mm and not (
+            isinstance(self.insertions_mm, float) and self.insertions_mm > 0.0
+        ):
+            raise ValueRefused(
+                "insertions_normal_mm is the error across the bone beside one along it",
+                "state insertions too, as in insertions=4mm,insertions_normal=1mm",
+            )
 
     @property
     def is_exact(self) -> bool:
@@ -116,7 +130,9 @@ class Uncertainty:
                 stated = sum(len(bones) for bones in value.values())
                 found[name] = f"{stated} stated by ligament and bone, the others exact"
             elif value == 0.0:
-                found[name] = "exact"
+                # Insertions are as well known across the bone as along it, if nothing is stated.
+                if name != "insertions_normal_mm":
+                    found[name] = "exact"
             else:
                 sized = f"{value:g} {_unit(name)}".strip()
                 found[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
@@ -801,6 +817,8 @@ class Knee:
         Ligaments whose parameters are tied.
     poses
         Where the knee is known to be, so that searches for equilibria begin there.
+    bones
+        Outer surfaces of femur and tibia, on which insertions lie; None if unknown.
     limits
         Limits of what the knee does that the subject states; they count where they are asked for.
     plausibility
@@ -838,6 +856,7 @@ class Knee:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     groups: tuple[LigamentGroup, ...] = ()
     poses: tuple[KnownPose, ...] = ()
+    bones: tuple[Surface, Surface] | None = None
     limits: Limits = ()
     plausibility: Limits = ()
     donor_age: float | None = None
@@ -944,6 +963,9 @@ class Knee:
             femur=self.femur.mirrored(),
             tibia=tuple(x.mirrored() for x in self.tibia),
             ligaments=tuple(x.mirrored() for x in self.ligaments),
+            bones=None
+            if self.bones is None
+            else (self.bones[0].mirrored(), self.bones[1].mirrored()),
             femur_frame=self.femur_frame.mirrored(),
             tibia_frame=self.tibia_frame.mirrored(),
             landmarks=tuple(

@@ -52,6 +52,9 @@ def knee_digest(knee: Knee) -> str:
     further = (knee.groups, known, sorted(knee.fitted.items()))
     if further != ((), [], []):
         parts.append(repr(further).encode())
+    if across := knee.uncertainty.insertions_normal_mm:
+        parts.append(f"across the bone {across}".encode())
+        parts += [x.vertices.tobytes() for x in knee.bones or ()]
     if knee.contact_rounding_mm:
         parts.append(f"contact rounding {knee.contact_rounding_mm}".encode())
     for surface in (knee.femur, *knee.tibia):

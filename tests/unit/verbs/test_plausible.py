@@ -65,7 +65,7 @@ def test_a_fit_says_what_limits_cost_and_a_file_keeps_it(laxity: ik.Laxity, tmp_
     assert price is not None
     assert price.price > 1.0
     assert price.limits[0].drop_one == pytest.approx(price.price, rel=1e-6)
-    loaded = ik.load(tmp_path)
+    loaded: Any = ik.load(tmp_path)
     assert loaded.plausibility.price == price.price
     assert loaded.plausibility.limits[0].limit.name == LIMIT.name
     assert loaded.plausibility.without == pytest.approx(price.without)
@@ -81,7 +81,7 @@ def test_noise_that_is_not_stated_is_asked_for(laxity: ik.Laxity) -> None:
 def test_the_knee_of_a_result_is_known_again_and_its_limits_are_an_input(
     laxity: ik.Laxity,
 ) -> None:
-    options = {"fixed": HELD, "more_starts": 0}
+    options: Mapping[str, Any] = {"fixed": HELD, "more_starts": 0}
     plain = ik.fit("reference", laxity, **options)
     found = ik.fit("reference", laxity, plausible=[LIMIT], weighting="noise", **options)
     assert plain.record is not None
