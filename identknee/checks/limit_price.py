@@ -13,6 +13,8 @@ from identknee.calibrate.problem import (
     SelectedResiduals,
     SumOfTerms,
     innermost,
+    with_priors_of,
+    without_priors,
 )
 from identknee.model.limit_residuals import LimitAtFit, LimitResiduals
 from identknee.runs.arrays import Array, IntArray
@@ -29,6 +31,7 @@ class LimitPrice:
 
     limit: LimitAtFit = entry("The limit")
     drop_one: float = entry("How much lower the deviance is with all others but this one", unit="1")
+    value_without: float = entry("Value at the best fit without any limit", unit="N or %")
     alone: float = entry("How much it raises the deviance where it is the only limit", unit="1")
 
 
@@ -71,7 +74,7 @@ def limits_of(problem: Problem) -> LimitResiduals | None:
 
 def plausibility_price(
     problem: Problem,
-    everywhere: Problem,
+    everywhere: Callable[[], Problem],
     thetas: Sequence[Array],
     *,
     search: Callable[..., Fit] = fit,
@@ -84,8 +87,10 @@ def plausibility_price(
 
     Parameters
     ----------
-    problem, everywhere
-        The problem in units of the noise, and the same where a search may begin anywhere.
+    problem
+        The problem in units of the noise.
+    everywhere
+        Gives the same where a search may begin anywhere.
     thetas
         The fit, then ends of other searches with limits and without, shape ``(p,)`` each.
     search
@@ -100,8 +105,9 @@ def plausibility_price(
     every = range(limits.n)
     active = [i for i in every if at[i].deviance > ACTIVE]
     asked = [(), *((i,) for i in active), *(tuple(j for j in every if j != i) for i in active)]
-    rows = _rows(everywhere)
-    parts = [SelectedResiduals(problem=everywhere, rows=rows.with_limits(which)) for which in asked]
+    searched = with_priors_of(without_priors(everywhere()), problem)
+    rows = _rows(searched)
+    parts = [SelectedResiduals(problem=searched, rows=rows.with_limits(which)) for which in asked]
     ends = executor.map(partial(_end, search, thetas[0]), parts)
     found = [(problem.residuals(theta), theta) for theta in (*thetas, *ends)]
     known = [x for x in found if np.isfinite(x[0]).all()]
@@ -115,11 +121,13 @@ def plausibility_price(
     nothing, whole = least(()), least(every)
     best = int((base + beyond.sum(axis=1)).argmin())
     without = known[int(base.argmin())][1]
+    values = limits.values(without)
     return PlausibilityPrice(
         limits=tuple(
             LimitPrice(
                 limit=at[i],
                 drop_one=whole - least([j for j in every if j != i]),
+                value_without=float(values[i]),
                 alone=least([i]) - nothing,
             )
             for i in every

@@ -44,7 +44,7 @@ from identknee.subject.knee import (
 )
 from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable
 from identknee.subject.reference import reference_knee
-from identknee.subject.surface import read_surface, write_surface
+from identknee.subject.surface import Surface, read_surface, write_surface
 
 FORMAT = 1
 
@@ -583,18 +583,7 @@ def _read(file: Path) -> Knee:
         KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
         for x in tables.poses
     )
-    bones = None
-    if tables.surfaces.femur_bone and tables.surfaces.tibia_bone:
-        bones = (
-            read_surface(file.parent / tables.surfaces.femur_bone),
-            read_surface(file.parent / tables.surfaces.tibia_bone),
-        )
-    stated = tables.uncertainty.model_dump()
-    if isinstance(spreads := tables.uncertainty.insertions_mm, SurfaceSpreads):
-        stated |= {
-            "insertions_mm": spreads.tangential,
-            "insertions_normal_mm": spreads.normal,
-        }
+    bones = _bones(file, tables.surfaces)
     knee = _made(
         file,
         "",
@@ -609,7 +598,7 @@ def _read(file: Path) -> Knee:
         tibia_frame=frames[1],
         landmarks=places,
         effects=tuple(effects),
-        uncertainty=_made(file, "[uncertainty]", Uncertainty, **stated),
+        uncertainty=_made(file, "[uncertainty]", Uncertainty, **_stated(tables.uncertainty)),
         priors={
             name: _made(file, f"prior of {name}", StatedPrior, **prior.model_dump())
             for name, prior in tables.priors.items()
@@ -635,6 +624,22 @@ def _read(file: Path) -> Knee:
     for finding in fatal_geometry_findings(knee):
         raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee
+
+
+def _bones(file: Path, named: SurfaceFiles) -> tuple[Surface, Surface] | None:
+    """Surfaces of femur and tibia, where both are named."""
+    if named.femur_bone is None or named.tibia_bone is None:
+        return None
+    femur, tibia = (read_surface(file.parent / x) for x in (named.femur_bone, named.tibia_bone))
+    return femur, tibia
+
+
+def _stated(table: UncertaintyTable) -> dict[str, Any]:
+    """The sizes of an uncertainty, by name."""
+    sizes = table.model_dump()
+    if isinstance(spreads := table.insertions_mm, SurfaceSpreads):
+        sizes |= {"insertions_mm": spreads.tangential, "insertions_normal_mm": spreads.normal}
+    return sizes
 
 
 def _made(file: Path, place: str, make: Callable[..., Made], /, *values: Any, **named: Any) -> Made:

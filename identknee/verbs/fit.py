@@ -558,15 +558,7 @@ def fit(
             executor=run.executor,
             budget=BRIEF if problem.parameters.nuisance_names else budget,
         )
-        if subject.plausibility:
-            # What the limits cost is asked of the best fit without them.
-            everywhere = trials.without_limits.problem_everywhere(used.laxity)
-            first = plain(everywhere, used.start, fixed=trials.fixed)
-            without = further(everywhere, first, points)
-            points = np.vstack([points, without[0].theta])
-        fits = further(
-            trials.problem_everywhere(used.laxity), replace(found, start=used.start), points
-        )
+        fits, without = _fits_from(trials, used, found, points, plain, further)
         # The lowest of all may hold every trial at its measured pose.
         fits = fits if np.isfinite(problem.residuals(fits[0].theta)).all() else (found,)
         found = replace(fits[0], start=theta)
@@ -585,11 +577,10 @@ def fit(
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     whole = with_all_priors(problem) if is_with_priors else problem
     price = None
-    if np.isfinite(found.objective) and subject.plausibility:
-        everywhere = trials.problem_everywhere(used.laxity)
+    if np.isfinite(found.objective):
         price = plausibility_price(
             whole,
-            with_all_priors(everywhere) if is_with_priors else everywhere,
+            partial(trials.problem_everywhere, used.laxity),
             [x.theta for x in (*fits, *without)],
             search=partial(search, seed=seed, budget=budget, fixed=trials.fixed),
             executor=run.executor,
@@ -624,6 +615,25 @@ def fit(
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, fits, prediction, error, agreement_findings(compared)),
     )
+
+
+def _fits_from(
+    trials: TrialSearch,
+    used: TrialSelection,
+    found: Fit,
+    points: Array,
+    search_from: Callable[..., Fit],
+    further: Callable[..., tuple[Fit, ...]],
+) -> tuple[tuple[Fit, ...], tuple[Fit, ...]]:
+    """Fits from other points, the lowest first, and those without limits where limits count."""
+    without: tuple[Fit, ...] = ()
+    if trials.model.knee.plausibility:
+        # What limits cost is asked of the best fit without them, where another search begins too.
+        plain = trials.without_limits.problem_everywhere(used.laxity)
+        without = further(plain, search_from(plain, used.start, fixed=trials.fixed), points)
+        points = np.vstack([points, without[0].theta])
+    everywhere = trials.problem_everywhere(used.laxity)
+    return further(everywhere, replace(found, start=used.start), points), without
 
 
 def extended_by_fit(model: LaxityModel, prediction: Prediction) -> Knee:

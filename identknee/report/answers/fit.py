@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from identknee.checks.compared_forces import ComparedForces
 from identknee.checks.fit_checks import AT_END
+from identknee.checks.limit_price import PlausibilityPrice
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves
 from identknee.report.presenter import (
@@ -152,6 +153,19 @@ def compared_forces_drawing(forces: ComparedForces) -> Drawing:
     )
 
 
+def plausibility_drawing(price: PlausibilityPrice) -> Drawing:
+    """The figure of what a fit has at each limit, with limits and without."""
+    from identknee.report.plausibility_figure import plausibility_figure
+
+    return Drawing(
+        name="plausibility",
+        figure=plausibility_figure(price),
+        caption="Forces, strains and contact of the fit with limits (filled) and without them "
+        "(open), as a share of each limit. Grey is the limit with its standard deviation or scale.",
+        description=f"{len(price.limits)} limits of plausibility and the values of two fits there.",
+    )
+
+
 class CalibrationPresenter(Presenter[Calibration]):
     """How a fit is shown."""
 
@@ -229,9 +243,11 @@ class CalibrationPresenter(Presenter[Calibration]):
 
     @override
     def drawings(self, answer: Calibration, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        """Measured forces beside those predicted."""
+        """Measured forces beside those predicted, and what no knee does."""
         if answer.compared_forces is not None:
             yield compared_forces_drawing(answer.compared_forces)
+        if answer.plausibility is not None:
+            yield plausibility_drawing(answer.plausibility)
 
     @override
     def curves(self, answer: Calibration, beside: Sequence[Answer]) -> "LaxityCurves":

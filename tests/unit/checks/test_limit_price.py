@@ -39,7 +39,7 @@ def test_the_price_is_what_another_optimizer_finds_and_that_of_more_limits_is_hi
     plain = trials.without_limits.problem(trials.laxity)
     start = problem.parameters.start
     ends = [fit(x, start).theta for x in (problem, plain)]
-    found = plausibility_price(problem, problem, ends, executor=serial)
+    found = plausibility_price(problem, lambda: problem, ends, executor=serial)
     assert found is not None
     least = []
     for one, end in ((problem, ends[0]), (plain, ends[1])):
@@ -68,4 +68,4 @@ def test_the_price_is_what_another_optimizer_finds_and_that_of_more_limits_is_hi
 def test_a_fit_without_limits_has_no_price() -> None:
     trials = _search().without_limits
     problem = trials.problem(trials.laxity)
-    assert plausibility_price(problem, problem, [problem.parameters.start]) is None
+    assert plausibility_price(problem, lambda: problem, [problem.parameters.start]) is None
