@@ -353,6 +353,16 @@ def misfit_square(problem: Problem, theta: Array) -> float:
     return sum(x.deviance for x in terms if x.name not in BELIEFS) if terms else np.inf
 
 
+def limit_rows(problem: Problem) -> slice:
+    """Which residuals of the problem are those of limits of plausibility; none without."""
+    inner = innermost(problem)
+    if not isinstance(inner, SumOfTerms) or PLAUSIBILITY_TERM not in inner.terms:
+        return slice(0)
+    i = list(inner.terms).index(PLAUSIBILITY_TERM)
+    first = sum(inner.sizes[:i])
+    return slice(first, first + inner.sizes[i])
+
+
 def n_prior_rows(problem: Problem) -> int:
     """How many of the last residuals of the problem are those of priors."""
     return problem.places.size if isinstance(problem, ProblemWithPriors) else 0

@@ -13,6 +13,7 @@ from identknee.calibrate.problem import (
     SelectedResiduals,
     SumOfTerms,
     innermost,
+    limit_rows,
     with_priors_of,
     without_priors,
 )
@@ -139,14 +140,9 @@ def plausibility_price(
 
 
 def _rows(problem: Problem) -> _Rows:
-    inner = innermost(problem)
-    if not isinstance(inner, SumOfTerms):
-        raise TypeError(f"{type(inner).__name__} has no terms")
-    ends = np.cumsum(inner.sizes)
-    i = list(inner.terms).index(PLAUSIBILITY_TERM)
-    limits = np.arange(ends[i] - inner.sizes[i], ends[i])
-    m = problem.residuals(problem.parameters.center).size
-    return _Rows(limits=limits, others=np.setdiff1d(np.arange(m), limits))
+    whole = np.arange(problem.residuals(problem.parameters.center).size)
+    limits = whole[limit_rows(problem)]
+    return _Rows(limits=limits, others=np.setdiff1d(whole, limits))
 
 
 def _end(search: Callable[..., Fit], start: Array, problem: Problem) -> Array:

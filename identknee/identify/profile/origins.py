@@ -1,4 +1,4 @@
-"""What makes the ends of a profile: the data, a prior, or the bound of another parameter."""
+"""What makes the ends of a profile: the data, beliefs, or the bound of another parameter."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,6 +11,7 @@ from identknee.calibrate.problem import (
     Evaluator,
     ParameterQuantity,
     Problem,
+    limit_rows,
     n_prior_rows,
     sum_of_squares,
     with_room_doubled,
@@ -25,7 +26,7 @@ from identknee.runs.record import Outcome
 MOVED = 0.1
 # Of the threshold: reduction predicted for twice the room of a bound from which it counts.
 ACTIVE = 1e-3
-# Of the rise of the deviance: an end of which priors make more is theirs.
+# Of the rise of the deviance: an end of which priors and limits make more is theirs.
 MOST = 0.5
 # Of the threshold: the error of a fit that is to say whether a value is excluded.
 TOLERANCE = 1e-2
@@ -80,8 +81,8 @@ class OriginFinder:
 
         An end is set by bounds of other parameters where such a bound is active there or at the
         best fit and, computed again with twice the room for all parameters, the end moves by more
-        than a tenth of the interval, or is none any more. Else priors set it where these make
-        more than half of the rise of the deviance from the best fit to the end.
+        than a tenth of the interval, or is none any more. Else priors or limits set it where these
+        make more than half of the rise of the deviance from the best fit to the end.
         """
         at_end = self._gains(end.nearest.evaluation, end.nearest.slope)
         at_optimum = self._gains(self._optimum, 0.0)
@@ -95,7 +96,7 @@ class OriginFinder:
                 gains = at_end or at_optimum
                 name = self._strongest(end, gains) if gains else self._farthest_outside()
                 return replace(end.side, made_by=EndOrigin.BOUND, bound_of=name)
-        made_by = EndOrigin.PRIOR if self._is_of_priors(end) else EndOrigin.DATA
+        made_by = self._made_by(end)
         return replace(end.side, made_by=made_by)
 
     def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
@@ -245,14 +246,20 @@ class OriginFinder:
                 self._widened = (best.theta,)
         return wider
 
-    def _is_of_priors(self, end: ClosedEnd) -> bool:
-        n = n_prior_rows(self._problem)
-        if not n:
-            return False
+    def _made_by(self, end: ClosedEnd) -> EndOrigin:
+        """Data, or what is believed of the knee where that makes most of the rise: the larger."""
         at, best = end.nearest.evaluation, self._optimum
+        n = n_prior_rows(self._problem)
+        first = best.residuals.size - n
+        rises = {
+            EndOrigin.PRIOR: _rise(best, at, slice(first, first + n)),
+            EndOrigin.LIMIT: _rise(best, at, limit_rows(self._problem)),
+        }
         whole = at.deviance - best.deviance
-        return bool(_of_last(at.residuals, n) - _of_last(best.residuals, n) > MOST * whole > 0.0)
+        if not sum(max(x, 0.0) for x in rises.values()) > MOST * whole > 0.0:
+            return EndOrigin.DATA
+        return max(rises, key=rises.__getitem__)
 
 
-def _of_last(residuals: Array, n: int) -> float:
-    return sum_of_squares(residuals[-n:])
+def _rise(before: Evaluation, after: Evaluation, rows: slice) -> float:
+    return sum_of_squares(after.residuals[rows]) - sum_of_squares(before.residuals[rows])

@@ -361,6 +361,7 @@ class EndOrigin(Enum):
 
     DATA = "data"
     PRIOR = "prior"
+    LIMIT = "limit"
     BOUND = "bound"
     OWN_BOUND = "own_bound"
     FEASIBILITY = "feasibility"
@@ -384,6 +385,7 @@ class ProfileVerdict(Enum):
         return _VERDICTS[self]
 
 
+_BELIEFS = {EndOrigin.PRIOR: "Priors", EndOrigin.LIMIT: "Limits of plausibility"}
 _SIDES = {
     SideStatus.CLOSED: "The data exclude every value beyond this end.",
     SideStatus.OPEN_AT_BOUND: "The data exclude no value up to the bound or the end of the range.",
@@ -398,8 +400,8 @@ _SIDES = {
 _VERDICTS = {
     ProfileVerdict.IDENTIFIABLE: "The data bound the value on both sides.",
     ProfileVerdict.BOUNDED_BY_ASSUMPTION: (
-        "The data alone do not make this set: an end of it depends on a prior or on the bound of "
-        "another parameter."
+        "The data alone do not make this set: an end of it depends on a prior, on limits of "
+        "plausibility or on the bound of another parameter."
     ),
     ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
@@ -435,9 +437,10 @@ class Side:
         "Other parameters that sit on a bound there: the end is then a statement about the box too"
     )
     made_by: EndOrigin | None = entry(
-        "What makes the end: data; prior, where more than half of the rise of the deviance from "
-        "the best fit to the end is that of priors; bound, where it moves by more than a tenth of "
-        "the interval once the bounds of other parameters have twice their room; null where "
+        "What makes the end: data; prior or limit, where more than half of the rise of the "
+        "deviance from the best fit to the end is that of priors or limits of plausibility; "
+        "bound, where it moves by more than a tenth of the interval once the bounds of other "
+        "parameters have twice their room; null where "
         "nothing was found to",
         default=None,
     )
@@ -465,6 +468,11 @@ class Side:
             )
         if self.made_by is EndOrigin.PRIOR:
             return "More than half of what excludes the values beyond this end is priors, not data."
+        if self.made_by is EndOrigin.LIMIT:
+            return (
+                "More than half of what excludes the values beyond this end is limits of "
+                "plausibility, not data."
+            )
         return self.status.sentence
 
 
@@ -595,9 +603,9 @@ class Profile:
             if side.bound_of is not None
         ]
         sentences += [
-            f"Priors make most of the {which} end."
+            f"{_BELIEFS[side.made_by]} make most of the {which} end."
             for which, side in ends
-            if side.made_by is EndOrigin.PRIOR
+            if side.made_by in _BELIEFS
         ]
         sentences += [] if self.doubt is None else [f"That is {self.doubt.value}."]
         return " ".join([self.verdict.sentence, *sentences])

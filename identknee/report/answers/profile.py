@@ -39,6 +39,11 @@ from identknee.verbs.profile import Profiles
 STIFFNESS = "stiffness_kN"
 # More of them in one sentence are no answer any more.
 MOST_NAMED = 5
+# What beside data makes an end, in words.
+ASSUMED: Mapping[EndOrigin | None, str] = {
+    EndOrigin.PRIOR: "priors",
+    EndOrigin.LIMIT: "limits of plausibility",
+}
 PROFILE_WORDS = {
     ProfileVerdict.IDENTIFIABLE: "known",
     ProfileVerdict.BOUNDED_BY_ASSUMPTION: "bounded by assumption",
@@ -113,8 +118,12 @@ def quantity_clause(profile: Profile) -> str:
         return "is zero" if contact_words(profile.name.partition("@")[0]) else "is slack"
     assumed = [
         f"the {which} end "
-        + (f"depends on the bound of {parameter_words(owner)}" if owner else "is made by priors")
-        for which, owner in _assumed_ends(profile).items()
+        + (
+            f"depends on the bound of {parameter_words(side.bound_of)}"
+            if side.bound_of
+            else f"is made by {ASSUMED[side.made_by]}"
+        )
+        for which, side in _assumed_ends(profile).items()
     ]
     hangs = f"; {listed(assumed)}" if assumed else ""
     if low is not None and high is not None:
@@ -134,13 +143,13 @@ def quantity_clause(profile: Profile) -> str:
     return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
 
 
-def _assumed_ends(profile: Profile) -> dict[str, str | None]:
-    """The ends that data do not make: the parameter whose bound does, None where priors do."""
+def _assumed_ends(profile: Profile) -> dict[str, Side]:
+    """The ends that the bound of another parameter, priors or limits make, and not the data."""
     sides = {"lower": profile.lower_side, "upper": profile.upper_side}
     return {
-        which: side.bound_of
+        which: side
         for which, side in sides.items()
-        if side.bound_of is not None or side.made_by is EndOrigin.PRIOR
+        if side.bound_of is not None or side.made_by in ASSUMED
     }
 
 
@@ -182,8 +191,10 @@ def _bounded_count_sentence(profiles: Sequence[Profile]) -> str:
 def _table(profiles: Sequence[Profile], title: str) -> Table:
     assumed = [
         ", ".join(
-            f"{which}: bound of {label_without_unit(owner)}" if owner else f"{which}: prior"
-            for which, owner in _assumed_ends(x).items()
+            f"{which}: bound of {label_without_unit(side.bound_of)}"
+            if side.bound_of
+            else f"{which}: {side.origin}"
+            for which, side in _assumed_ends(x).items()
         )
         for x in profiles
     ]

@@ -10,6 +10,7 @@ from slow_cases import some_slow
 
 import identknee as ik
 from identknee.calibrate.problem import PLAUSIBILITY_TERM
+from identknee.identify.profile.result import ProfileVerdict
 from identknee.subject.plausibility import Limit
 from identknee.verbs.answer import Answer
 from identknee.verbs.fitted_knee import fitted_knee
@@ -90,3 +91,18 @@ def test_the_knee_of_a_result_is_known_again_and_its_limits_are_an_input(
     assert set(found.record.inputs) - set(plain.record.inputs) == {"plausibility"}
     fitted = fitted_knee(ik.reference_knee(), found)
     assert fitted.ligament("ACL").stiffness_kN == pytest.approx(found.search.theta[0])
+
+
+def test_an_end_that_limits_make_is_not_of_the_data(laxity: ik.Laxity) -> None:
+    """With coarse data the strength of a ligament bounds its strain from above."""
+    options: Mapping[str, Any] = {
+        "parameters": ["ACL.reference_strain_pct"],
+        "noise": "8mm,8deg",
+        "fixed": [*HELD, NAME, "PCL.reference_strain_pct", "MCL.reference_strain_pct"],
+    }
+    plain = ik.profile("reference", laxity, **options).profiles[0]
+    limit = Limit(form="strength", quantity="ACL.tension_N", size=400.0, spread=10.0)
+    found = ik.profile("reference", laxity, plausible=[limit], **options).profiles[0]
+    assert plain.upper_origin != "limit"
+    assert found.upper_origin == "limit"
+    assert found.verdict is ProfileVerdict.BOUNDED_BY_ASSUMPTION
