@@ -31,8 +31,10 @@ class LimitAtFit:
     name: str = entry("What is limited")
     form: str = entry("Strength (largest over trials), within (mean over trials), or normal")
     value: float = entry("Value at the fit", unit="N or %")
-    size: float = entry("Mean of the strength or value, or where the half-normal begins")
-    spread: float = entry("Its standard deviation over specimens, or scale")
+    size: float = entry(
+        "Mean of the strength or value, or where the half-normal begins", unit="N or %"
+    )
+    spread: float = entry("Its standard deviation over specimens, or scale", unit="N or %")
     deviance: float = entry("What it adds to the deviance", unit="1")
     source: str = entry("Where the limit is from")
 
