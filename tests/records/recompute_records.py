@@ -29,6 +29,8 @@ SHARE = 0.003
 # What the entries drawn from one study may take together, by the times recorded with them [s].
 MOST_SECONDS = 20.0
 MOST_SHOWN = 5
+# Of these one number alone takes half a minute: they are computed again where all are.
+NIGHTLY = {"16_what_a_cut_is_worth"}
 # Records keep six digits, and the last one may be rounded the other way.
 RELATIVE = 1e-5
 # Errors of a fit that found the truth are rounding [kN, %, mm, deg, N]; nothing smaller matters.
@@ -87,6 +89,8 @@ def main() -> int:
     problems: list[str] = []
     known: list[str] = []
     for study in [options.study] if options.study else studies():
+        if study in NIGHTLY and options.share < 1.0 and not options.study:
+            continue
         for path in sorted((STUDIES / study / "records").glob("*.json")):
             record = json.loads(path.read_text(encoding="utf-8"))
             problems += [f"{study}: {x}" for x in head_problems(record)]
