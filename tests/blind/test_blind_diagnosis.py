@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from blind_diagnoses import BlindTask, outcome_of
 from scipy.stats import chi2
+from slow_cases import some_slow
 
 from identknee.blind.case import blind_case
 from identknee.diagnosis.investigation import investigate
@@ -28,6 +29,8 @@ EFFECTS = (
     "rig_compliance_IE",
     "hysteresis",
 )
+SLOW = ("toe_strain", "meniscus", "flexion_offset")
+QUICK = tuple(x for x in EFFECTS if x not in SLOW)
 FIRST_SEED = 300
 
 
@@ -54,21 +57,26 @@ def test_nothing_hidden_seldom_alarms() -> None:
     assert 0.01 < chi2(2 * N_NULLS).cdf(fisher) < 0.99
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", some_slow(EFFECTS, SLOW))
 def test_a_large_effect_is_seen_and_never_called_by_a_wrong_name(effect: str) -> None:
     found = outcome(effect, FIRST_SEED + EFFECTS.index(effect))
     assert found["verdict"] != Verdict.ADEQUATE
     assert not found["wrong"]
 
 
-def test_large_effects_are_nearly_all_named() -> None:
-    found = [outcome(x, FIRST_SEED + i) for i, x in enumerate(EFFECTS)]
-    assert sum(x["correct"] and x["verdict"] == Verdict.NAMED for x in found) >= len(EFFECTS) - 2
-    assert sum(bool(x["in_group"]) for x in found) >= len(EFFECTS) - 1
+@pytest.mark.parametrize("effects", some_slow([QUICK, EFFECTS], [EFFECTS]))
+def test_large_effects_are_nearly_all_named(effects: tuple[str, ...]) -> None:
+    found = [outcome(x, FIRST_SEED + EFFECTS.index(x)) for x in effects]
+    n_named = sum(x["correct"] and x["verdict"] == Verdict.NAMED for x in found)
+    assert n_named >= 0.75 * len(effects)
+    assert sum(bool(x["in_group"]) for x in found) >= len(effects) - 1
 
 
-def test_naming_the_cause_brings_the_parameters_nearer_to_the_truth() -> None:
-    found = [outcome(x, FIRST_SEED + i) for i, x in enumerate(EFFECTS)]
+@pytest.mark.parametrize("effects", some_slow([QUICK, EFFECTS], [EFFECTS]))
+def test_naming_the_cause_brings_the_parameters_nearer_to_the_truth(
+    effects: tuple[str, ...],
+) -> None:
+    found = [outcome(x, FIRST_SEED + EFFECTS.index(x)) for x in effects]
     errors = np.array([x["stiffness_error"] for x in found if x["correct"]])
     assert np.median(errors[:, 1]) < np.median(errors[:, 0])
 

@@ -81,6 +81,7 @@ def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None
     assert len(copy.femur.faces) == len(knee.femur.faces)
 
 
+@pytest.mark.slow
 def test_a_fit_goes_back_into_the_opensim_model(tmp_path: Path) -> None:
     knee, fit = tmp_path / "knee", tmp_path / "fit"
     run("subject", "import-osim", "lenhart2015", "--bundles", "merged", "--out", knee)
@@ -137,6 +138,7 @@ def internal(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
     protocol = internal(tmp_path)
     words = ["lenhart2015", "--protocol", protocol]

@@ -146,6 +146,7 @@ def test_errors_of_a_rig_are_none_of_the_extended_knee(reference: Knee, tmp_path
     assert again.search.outcome is not Outcome.START_FAILED
 
 
+@pytest.mark.slow
 def test_a_cause_is_named_beside_forces(reference: Knee) -> None:
     """A moment that is 15 % larger than read changes both."""
     exact = _measured(reference, 2, every=4)

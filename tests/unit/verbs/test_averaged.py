@@ -128,6 +128,7 @@ def test_it_says_how_far_predictions_bend(marginal: Identification) -> None:
     assert 10 <= int(n_draws) <= 16
 
 
+@pytest.mark.slow
 def test_forces_beside_stated_errors_have_equivalents(with_other_terms: Identification) -> None:
     said = with_other_terms.assumptions[-1]
     assert re.findall(r"\d+(?:\.\d+)?", said)[0] == str(25 + 3)
