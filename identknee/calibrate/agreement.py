@@ -64,10 +64,6 @@ class Agreement:
         return min(self.terms, key=lambda x: (x.p_value, -x.rise))
 
 
-def _selected(problem: Problem, rows: IntArray) -> SelectedResiduals:
-    return SelectedResiduals(problem=problem, rows=rows)
-
-
 def agreement(
     problem: Problem, theta: Array, terms: Mapping[str, IntArray], *, seed: int = 0
 ) -> Agreement:

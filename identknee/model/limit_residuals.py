@@ -21,6 +21,7 @@ from identknee.subject.plausibility import CONTACT, TENSION, Limit
 # there are: 0.3 N of 24 trials. A trial given twice raises it by 0.07 N.
 SOFTNESS = {"N": 0.1, "%": 0.005}
 VARUS = LOADS.index("varus_moment_Nm")
+NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 
 
@@ -113,7 +114,9 @@ class LimitResiduals:
         """Their derivatives by theta, shape ``(n, p)``."""
         rows = [
             _residual(x, value)[1] * slopes if np.isfinite(value) else np.zeros(theta.size)
-            for x, (value, slopes) in zip(self.limits, self._values_and_slopes(theta), strict=True)
+            for x, (value, slopes) in zip(
+                self.limits, self._found(theta, has_slopes=True), strict=True
+            )
         ]
         return np.array(rows).reshape(self.n, theta.size)
 
@@ -139,9 +142,6 @@ class LimitResiduals:
             )
             for x, value, left in found
         )
-
-    def _values_and_slopes(self, theta: Array) -> list[tuple[float, Array]]:
-        return self._found(theta, has_slopes=True)
 
     def _found(self, theta: Array, *, has_slopes: bool) -> list[tuple[float, Array]]:
         """Value and derivatives of what each limit is about."""
@@ -298,9 +298,6 @@ def standard_loads(words: Sequence[str]) -> Protocol:
         flexion_deg=np.array([x for x, _ in found]),
         loads=np.array([x for _, x in found]).reshape(len(found), len(LOADS)),
     )
-
-
-NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 
 
 def _standard_load(words: str) -> tuple[float, Array]:

@@ -86,7 +86,7 @@ class Limit:
         Mean and standard deviation of a strength or a normal value; size beyond which the
         half-normal begins, and its scale [N or %].
     less
-        A second quantity that is taken from the first; none if empty.
+        A second contact force that is taken from the first; none if empty.
     trials
         Which trials count: ``"all"``, ``"no varus moment"`` or ``"nearly unloaded"``.
     source
@@ -135,6 +135,11 @@ class Limit:
                     f"write NAME.{TENSION}, NAME.{STRAIN}, {CONTACT}.medial_N or "
                     f"{CONTACT}.lateral_N",
                 )
+        if self.less and not (what.startswith(CONTACT) and self.less.startswith(CONTACT)):
+            raise ValueRefused(
+                f"a limit of {what} less {self.less} is not known",
+                "limit each alone; only contact forces have a difference",
+            )
         if bool(at) != (self.form == "normal"):
             raise ValueRefused(
                 f"the {self.form} of {self.quantity} is "

@@ -91,6 +91,7 @@ def test_the_strength_of_the_acl_falls_with_age() -> None:
         ("sd = 160.0", "sd = 0.0", "[[plausibility]] block 1"),
         ("MCL.tension_N", "MCL.length_mm", "[[plausibility]] block 1"),
         ("scale = 75.0", "", "[[plausibility]] block 2"),
+        ('"contact.lateral_N"]', '"ACL.tension_N"]', "[[plausibility]] block 2"),
         ("no varus moment", "some", "[[plausibility]] block 2"),
         ("@134 N anterior, 30 deg", "", "[[plausibility]] block 3"),
         ("within = 150.0", "within = 150.0\nwidth = 2.0", "[[plausibility]] block 2"),
