@@ -17,11 +17,12 @@ from identknee.calibrate.problem import (
     ProblemWithPriors,
     SumOfTerms,
     evidence_terms,
+    with_all_priors,
 )
 from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.data_noise import DataNoise, noise_of
 from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
-from identknee.checks.usable_trials import force_terms
+from identknee.checks.usable_trials import defined_everywhere, force_terms
 from identknee.diagnosis.force_rows import ForceRows
 from identknee.diagnosis.misfit import (
     Projector,
@@ -37,6 +38,7 @@ from identknee.identify.laplace import Laplace, laplace, log_evidence
 from identknee.identify.optimum import (
     NuisanceEstimate,
     NuisanceGroup,
+    best_fits,
     nuisance_estimates,
     nuisance_groups,
     sobol_around,
@@ -71,6 +73,9 @@ STRAIGHT_STEPS = 12
 WIDER, WIDER_IF_IDLE, NEARLY_GONE = 10.0, 1000.0, 0.02
 # How often a search without a torn ligament goes on where it ran out of steps.
 MOST_ROUNDS = 3
+# A fit that is less probable under noise is searched for anew unless it ended at a minimum, in
+# searches of so many simulations at first, of whose ends the lowest are polished.
+REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -460,6 +465,23 @@ def with_wider_priors(
     return replace(knee, priors=priors)
 
 
+def lowest_fit(base: BaseFit, seed: int) -> BaseFit:
+    """The fit from which causes are looked for, searched for further where it left much misfit.
+
+    Parameters
+    ----------
+    base
+        The fit of the base model.
+    seed
+        Seed of the points where further searches begin.
+    """
+    found = base
+    if without_causes(base).misfit_p_value < REJECTED:
+        found = past_lost_trials(base, seed)
+    freed = without_idle_priors(found)
+    return found if freed is found else past_lost_trials(freed, seed)
+
+
 def without_idle_priors(base: BaseFit) -> BaseFit:
     """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
 
@@ -494,6 +516,35 @@ def without_idle_priors(base: BaseFit) -> BaseFit:
             break
         found = best_fit_from(measured, fitted.laxity, fitted.noise, [found.theta])
     return BaseFit(fitted=found, noise=base.noise) if found.evaluation.is_finite else base
+
+
+def past_lost_trials(base: BaseFit, seed: int) -> BaseFit:
+    """A fit, or a lower one that lies beyond parameters with which trials have no equilibrium.
+
+    A knee without a ligament bears few of the loads that it was measured under unless all other
+    parameters are nearly right, and no search that needs every trial finds its way there. That of
+    `fit` does: a lost trial is held near its measured pose.
+
+    Parameters
+    ----------
+    base
+        The fit. One that ended at its minimum is returned.
+    seed
+        Seed of the points where searches begin.
+    """
+    fitted = base.fitted
+    model = fitted.model
+    if fitted.outcome is Outcome.MINIMUM or fitted.laxity.zero != "absolute":
+        return base
+    known = replace(
+        fitted.laxity, sd=base.noise.sd, within_trial_correlation=base.noise.correlation
+    )
+    compared = LaxityResiduals(model=model, laxity=known, weighting="noise")
+    everywhere = with_all_priors(defined_everywhere(compared))
+    ends = best_fits(everywhere, start=fitted.theta, seed=seed, budget=BRIEF)
+    starts = [x.theta for x in ends[:N_POLISHED]]
+    found = best_fit_from(model, fitted.laxity, fitted.noise, starts)
+    return BaseFit(fitted=found, noise=base.noise) if found.deviance < fitted.deviance else base
 
 
 def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:

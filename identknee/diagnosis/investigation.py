@@ -22,8 +22,8 @@ from identknee.diagnosis.fitting import (
     Refit,
     best_fit_from,
     fit_base,
+    lowest_fit,
     without_causes,
-    without_idle_priors,
 )
 from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
@@ -271,11 +271,11 @@ def investigate(
             laxity = weighed(laxity, first.model, first.theta)
             begin = [*begin, first.theta[: first.model.n_ligament_parameters]]
             base_fit = fit_base(knee, laxity, starts=begin, seed=seed) or base_fit
-        base_fit = without_idle_priors(base_fit)
+        base_fit = lowest_fit(base_fit, seed)
     attribution, p_value = _explained(base_fit, effects, seed)
     if (start := better_start(attribution)) is not None:
         again = fit_base(knee, laxity, starts=[*begin, start], seed=seed)
-        base_fit = base_fit if again is None else without_idle_priors(again)
+        base_fit = base_fit if again is None else lowest_fit(again, seed)
         attribution, p_value = _explained(base_fit, effects, seed)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)

@@ -24,6 +24,8 @@ N_STARTS = 16
 REACH = 2.0
 # Of several brief fits the lowest that go on: where they end is not the order in which they began.
 N_FINISHED = 4
+# Logarithm of the largest factor by which a start differs from the point that it lies around.
+FARTHEST_LOG = 20.0
 # Searches of a round of hops, their reach in prior standard deviations round by round, the gain in
 # deviance that counts, and how many rounds may gain nothing.
 N_HOPS, REACH_OF_HOPS, A_GAIN, MOST_IDLE = 8, (1.0, 0.5, 1.0, 0.5, 1.0), 0.05, 2
@@ -181,7 +183,9 @@ def sobol_around(
         :n
     ]
     steps = reach * parameters.prior_sd * (2.0 * drawn - 1.0) * parameters.is_of_interest
-    points = np.where(parameters.is_log, center * np.exp(steps), center + steps)
+    # A prior so wide that it says nothing reaches past all bounds.
+    factors = np.exp(np.clip(steps, -FARTHEST_LOG, FARTHEST_LOG))
+    points = np.where(parameters.is_log, center * factors, center + steps)
     return np.asarray(np.clip(points, parameters.lower, parameters.upper))
 
 

@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from diagnoses import SD, short_trials
 
-from identknee.diagnosis.fitting import best_fit_from
+from identknee.diagnosis.fitting import best_fit_from, fit_base, past_lost_trials
 from identknee.diagnosis.investigation import LOWER, better_start, investigate
 from identknee.laxity.table import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
+from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
 
@@ -28,3 +30,18 @@ def test_a_better_minimum_of_the_base_model_is_a_start(reference: Knee) -> None:
     start = better_start(replace(found.attribution, steps=(at,), best=found.base))
     assert start is not None
     np.testing.assert_allclose(start, base.theta[: base.model.n_ligament_parameters], rtol=0.01)
+
+
+def test_a_search_through_lost_trials_finds_the_lower_fit(reference: Knee) -> None:
+    model = LaxityModel(knee=reference, protocol=short_trials())
+    laxity = add_noise(model.simulate(model.parameters.center), sd_mm=SD, sd_deg=SD, seed=2)
+    base = fit_base(reference, laxity, starts=[], seed=0)
+    assert base is not None
+    lowest = base.fitted
+    assert lowest.outcome is Outcome.MINIMUM
+    assert past_lost_trials(base, 0) is base
+    beside = lowest.theta + np.where(np.arange(lowest.theta.size) % 2, 0.5, 0.0)
+    stuck = best_fit_from(lowest.model, laxity, lowest.noise, [beside], most_steps=1)
+    assert stuck.deviance > lowest.deviance + LOWER
+    found = past_lost_trials(replace(base, fitted=stuck), 0).fitted
+    assert found.deviance == pytest.approx(lowest.deviance, abs=0.1)

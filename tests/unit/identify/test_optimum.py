@@ -1,5 +1,7 @@
 """The best of several fits, and starts that are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters, sloppy_springs
@@ -9,6 +11,7 @@ from identknee.identify.optimum import (
     N_FINISHED,
     best_fit,
     best_fits,
+    sobol_around,
     with_fits_from,
 )
 from identknee.runs.arrays import Array
@@ -85,3 +88,12 @@ def test_what_a_fit_holds_is_held_in_the_others() -> None:
 def test_a_start_outside_the_bounds_is_refused() -> None:
     with pytest.raises(ValueError, match=r"start.*x0\.value_pct.*11"):
         best_fit(two_valleys(), start=np.array([11.0]))
+
+
+def test_starts_around_a_point_stay_within_the_bounds_however_wide_the_prior() -> None:
+    own = plain_parameters(2, low=0.1)
+    parameters = replace(own, prior_sd=np.array([1e4, 1e4]), is_log=np.array([True, False]))
+    points = sobol_around(parameters, np.array([1.0, 2.0]), 8, reach=2.0, seed=0)
+    assert np.all((points >= parameters.lower) & (points <= parameters.upper))
+    assert (points == parameters.lower).any(axis=0).all()
+    assert (points == parameters.upper).any(axis=0).all()
