@@ -1,7 +1,7 @@
 """Residuals against measured laxity, errors that many share, and criteria of equivalence."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -395,6 +395,14 @@ def has_shared_errors(uncertainty: Uncertainty) -> bool:
     """Whether a knee states errors that are marginalised without parameters."""
     x = uncertainty
     return max(x.zero_mm, x.zero_deg, x.trial_flexion_deg, x.surface_mm) > 0.0
+
+
+def with_shared(residuals: LaxityResiduals, columns: Array) -> LaxityResiduals:
+    """The residuals with further errors that many values share, shape ``(n, 5, k)``."""
+    own = residuals.shared
+    return replace(
+        residuals, shared=columns if own is None else np.concatenate([own, columns], axis=2)
+    )
 
 
 def shared_errors(model: LaxityModel, theta: Array) -> Array:

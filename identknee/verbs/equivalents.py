@@ -116,6 +116,7 @@ def equivalents(
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
     priors: options.Priors = None,
+    discrepancy: options.Discrepancy = "none",
     seed: options.Seed = 0,
     **_: Unpack[options.FitOptions],
 ) -> Equivalents:
@@ -144,6 +145,7 @@ def equivalents(
         fixed=fixed,
         bounds=bounds,
         priors=has_priors("equivalents", priors),
+        discrepancy=discrepancy,
     )
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     predictions = _predictions(setup, quantities or (), forces, asked)

@@ -52,9 +52,10 @@ from identknee.identify.optimum import (
 )
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.laxity.table import COORDINATES, Laxity
+from identknee.model.discrepancy import SmoothDiscrepancy, smooth_discrepancy
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
+from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
 from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -64,12 +65,21 @@ from identknee.runs.findings import Finding, Severity
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 from identknee.subject.plausibility import limit_sentences
-from identknee.verbs.values import BoundsLike, NoiseLike, bounds_of, noise_of
+from identknee.verbs.values import (
+    BoundsLike,
+    DiscrepancyLike,
+    NoiseLike,
+    bounds_of,
+    discrepancy_of,
+    noise_of,
+)
 from identknee.verbs.verb import warm_up
 
 # Simulations of a search that is only to tell whether it is the lowest. Of a measured knee with 104
 # parameters 15 of 17 came within 4 of their last deviance in so many.
 BRIEF = 100
+# Fits after which a smooth error of the model is found again.
+DISCREPANCY_ROUNDS = 2
 # Of lengths and of angles [mm, deg].
 Sizes = tuple[float | None, float | None]
 
@@ -102,6 +112,9 @@ class Identification:
     lost: tuple[Finding, ...] = entry(
         "Which measured trials have no equilibrium and blank cells in `laxity`, as findings",
         default=(),
+    )
+    discrepancy: SmoothDiscrepancy | None = entry(
+        "The smooth error of the model that was averaged over; None for none", default=None
     )
     nuisances_at: tuple[Problem, Array] | None = entry(
         "Where the nuisances were averaged over: the problem that has them, and its best fit; "
@@ -171,10 +184,11 @@ class Identification:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain."""
         problem, best = self.nuisances_at or (self.problem, np.asarray(theta))
         nuisances = nuisance_estimates(problem, best)
+        discrepancy = {} if self.discrepancy is None else {"discrepancy": self.discrepancy.words}
         return {
             "trials_used": self.trials_used,
             "evidence": evidence_terms(problem, best),
-            "uncertainty": self.knee.uncertainty.words,
+            "uncertainty": {**self.knee.uncertainty.words, **discrepancy},
             "nuisances": nuisances,
         }
 
@@ -203,6 +217,7 @@ def identification(
     fixed: Sequence[str] | None = None,
     bounds: BoundsLike = None,
     priors: bool = False,
+    discrepancy: DiscrepancyLike = "none",
 ) -> Identification:
     """A knee and its laxity, checked and compared in units of the noise.
 
@@ -221,6 +236,9 @@ def identification(
         Lower and upper bound by parameter name, or texts such as ``ACL.stiffness_kN=5:15``.
     priors
         Whether the priors of ligament parameters count, beside those of nuisances.
+    discrepancy
+        A smooth error of the model to average over: ``"none"``, ``"smooth"``, or the scales of its
+        prior.
 
     Raises
     ------
@@ -248,6 +266,12 @@ def identification(
     blanks = blank_cell_findings(laxity)
     laxity, theta = used.laxity, used.start
     residuals = LaxityResiduals(model=model, laxity=laxity, weighting=trials.weighting)
+    scales = discrepancy_of(discrepancy)
+    if scales is not None and residuals.weighting == "unit":
+        raise ValueError(
+            "an error of the model is averaged over only beside a stated noise; add --noise, for "
+            "example --noise 0.5mm,0.5deg"
+        )
     if has_shared_errors(knee.uncertainty) and residuals.weighting == "unit":
         raise ValueError(
             "zero, trial_flexion and surface can be uncertain only beside a stated noise; add "
@@ -265,6 +289,10 @@ def identification(
         if has_shared_errors(knee.uncertainty):
             shared = shared_errors(residuals.model, first.theta)
         residuals = replace(residuals, laxity=laxity, shared=shared)
+    wrong: SmoothDiscrepancy | None = None
+    if scales is not None:
+        wrong = _discrepancy(residuals, theta, fixed or (), scales)
+        residuals = with_shared(residuals, wrong.columns)
     part = restricted(with_bounds(with_other_terms(residuals), limits), fixed or (), theta)
     with_its_priors = with_all_priors if priors else with_nuisance_priors
     problem = everywhere = with_its_priors(part)
@@ -278,6 +306,8 @@ def identification(
     beliefs = limit_sentences(knee.plausibility)
     said = (knee.uncertainty.sentence, *beliefs, *experiments, *pattern, *used.sentences, *blanks)
     assumptions = [*said, *_data_findings(laxity, asked)]
+    if wrong is not None:
+        assumptions.append(wrong.sentence)
     if laxity.sd is None:
         estimate, sizes = _with_estimated_noise(part, residuals, theta)
         problem = with_all_priors(estimate.problem) if priors else estimate.problem
@@ -311,7 +341,22 @@ def identification(
         estimated_noise=sizes,
         assumptions=tuple(assumptions),
         lost=lost,
+        discrepancy=wrong,
     )
+
+
+def _discrepancy(
+    residuals: LaxityResiduals, theta: Array, fixed: Sequence[str], scales: tuple[float, float]
+) -> SmoothDiscrepancy:
+    """The smooth error of the model at the fit that averages over it."""
+    found, averaged = theta, residuals
+    for _ in range(DISCREPANCY_ROUNDS):
+        found = fit(with_nuisance_priors(with_other_terms(averaged)), found, fixed=fixed).theta
+        plain = restricted(with_nuisance_priors(with_other_terms(residuals)), fixed, found)
+        at = plain.free.restrict(found)
+        wrong = smooth_discrepancy(residuals, -plain.residuals(at), plain.jacobian(at), scales)
+        averaged = with_shared(residuals, wrong.columns)
+    return wrong
 
 
 def with_noise(laxity: Laxity, noise: NoiseLike) -> Laxity:

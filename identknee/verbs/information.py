@@ -67,6 +67,7 @@ def information(
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
     priors: options.Priors = None,
+    discrepancy: options.Discrepancy = "none",
     seed: options.Seed = 0,
     **_: Unpack[options.FitOptions],
 ) -> LocalIdentifiability:
@@ -92,6 +93,7 @@ def information(
         fixed=fixed,
         bounds=bounds,
         priors=has_priors("information", priors),
+        discrepancy=discrepancy,
     )
     # Refuses a scaling that is none before anything takes time.
     scaled_units(setup.problem.parameters, scaling)

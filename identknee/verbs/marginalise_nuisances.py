@@ -110,6 +110,8 @@ def _linearised_residuals(setup: Identification, theta: Array) -> LaxityResidual
     columns = slopes * everything.prior_sd[varied]
     if has_shared_errors(setup.knee.uncertainty):
         columns = np.concatenate([columns, shared_errors(setup.model, theta)], axis=2)
+    if setup.discrepancy is not None:
+        columns = np.concatenate([columns, setup.discrepancy.columns], axis=2)
     return LaxityResiduals(
         model=_with_fixed_nuisances(setup.model, theta),
         laxity=setup.laxity,

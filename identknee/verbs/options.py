@@ -23,7 +23,7 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.files import PathLike
 from identknee.subject.knee import Knee, UncertainLike
 from identknee.subject.plausibility import PlausibleLike
-from identknee.verbs.values import BoundsLike, NoiseLike
+from identknee.verbs.values import BoundsLike, DiscrepancyLike, NoiseLike
 
 SubjectLike = Knee | PathLike
 LaxityLike = OneTable | Sequence[OneTable]
@@ -224,6 +224,16 @@ Plausible = Annotated[
         in_python="Or a list of `identknee.subject.Limit`.",
         metavar="default|none|FILE",
         typed=str | None,
+    ),
+]
+Discrepancy = Annotated[
+    DiscrepancyLike,
+    option(
+        "An error of the model, smooth in flexion and load, that is averaged over: none, smooth, "
+        "or the scales of its prior, such as 0.5mm,1deg. smooth stands for 1mm,2deg.",
+        in_python="Or two numbers in mm and deg.",
+        metavar="none|smooth|MM,DEG",
+        typed=str,
     ),
 ]
 # In the texts of the options that take names of predictions.

@@ -177,6 +177,7 @@ def profile(
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
     priors: options.Priors = None,
+    discrepancy: options.Discrepancy = "none",
     seed: options.Seed = 0,
     **_: Unpack[options.FitOptions],
 ) -> Profiles:
@@ -201,6 +202,7 @@ def profile(
         fixed=fixed,
         bounds=bounds,
         priors=has_priors("profile", priors),
+        discrepancy=discrepancy,
     )
     if bootstrap and setup.degrees_of_freedom is not None:
         raise ValueError(

@@ -12,7 +12,7 @@ from identknee.checks.left_out_trials import TrialsAsked
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
-from identknee.verbs.values import bounds_of, noise_of
+from identknee.verbs.values import bounds_of, discrepancy_of, noise_of
 
 # Verbs that weigh probabilities, which need a density of every parameter; others ask the data
 # alone. Written here once for all.
@@ -30,6 +30,7 @@ IN_WORDS = {
     "bounds": "bounds",
     "uncertainty": "uncertainty of knee and tests",
     "plausibility": "limits of plausibility",
+    "discrepancy": "error of the model that is averaged over",
 }
 
 
@@ -55,6 +56,10 @@ class Question:
     bounds: Mapping[str, tuple[float, float]] = entry("Bounds that were stated, by parameter")
     uncertainty: Mapping[str, str] = entry("What of knee and tests was taken as uncertain")
     plausibility: tuple[str, ...] = entry("Limits of plausibility that count", default=())
+    discrepancy: tuple[float, float] | None = entry(
+        "Scales of the prior of a smooth error of the model [mm, deg]; null where it has none",
+        default=None,
+    )
 
     def differences(self, other: "Question") -> tuple[str, ...]:
         """In what another question differs, in words; empty where both ask the same."""
@@ -83,6 +88,7 @@ def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, 
         bounds={**knee.bounds, **bounds_of(arguments.get("bounds"))},
         uncertainty=knee.uncertainty.words,
         plausibility=tuple(x.name for x in knee.plausibility),
+        discrepancy=discrepancy_of(arguments.get("discrepancy", "none")),
     )
 
 

@@ -544,6 +544,7 @@ def sample(
     fixed: options.Fixed = None,
     bounds: options.Bounds = None,
     priors: options.Priors = None,
+    discrepancy: options.Discrepancy = "none",
     seed: options.Seed = 0,
     **_: Unpack[options.FitOptions],
 ) -> Sample:
@@ -568,6 +569,7 @@ def sample(
         fixed=fixed,
         bounds=bounds,
         priors=has_priors("sample", priors),
+        discrepancy=discrepancy,
     )
     problem: Problem = setup.problem
     if not has_priors("sample", priors):

@@ -15,6 +15,9 @@ STIFFNESS, LARGEST_STIFFNESS_KN = ".stiffness_kN", 1000.0
 
 
 NoiseLike = str | float | tuple[float, float] | None
+DiscrepancyLike = str | float | tuple[float, float]
+# Scales of the prior of a smooth error of the model [mm, deg]: an estimate.
+SMOOTH = (1.0, 2.0)
 ValuesLike = Sequence[str] | Mapping[str, float] | None
 BoundsLike = Sequence[str] | Mapping[str, tuple[float, float]] | None
 
@@ -44,6 +47,27 @@ def noise_of(noise: str | float | tuple[float, float]) -> tuple[float, float]:
         )
     mm, deg = cast("tuple[float, float]", given)
     return noise_sizes(f"{mm}mm,{deg}deg")
+
+
+def discrepancy_of(discrepancy: DiscrepancyLike) -> tuple[float, float] | None:
+    """Scales of the prior of a smooth error of the model [mm, deg]; None for none.
+
+    Raises
+    ------
+    ValueError
+        If they are no such sizes.
+    """
+    if discrepancy == "none":
+        return None
+    if discrepancy == "smooth":
+        return SMOOTH
+    try:
+        return noise_of(discrepancy)
+    except ValueError:
+        raise ValueError(
+            f"discrepancy {discrepancy}: give none, smooth, or the scales of its prior in mm and "
+            "deg, for example 0.5mm,1deg"
+        ) from None
 
 
 def noise_words(noise: NoiseLike) -> str | None:

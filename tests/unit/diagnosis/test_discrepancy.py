@@ -19,17 +19,16 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.diagnosis.gain import (
     FLEXION,
-    LEAST_LENGTH,
     LEAST_SPREAD,
     Discrepancy,
     Observations,
-    _Kernel,
     elpd_difference,
     fit_discrepancy,
     held_out,
 )
 from identknee.diagnosis.misfit import base_projector
 from identknee.diagnosis.noise_model import build_noise_model
+from identknee.model.discrepancy import LEAST_LENGTH, SmoothKernel
 from identknee.runs.arrays import Array
 
 SOLVED = 1e6 * CLOSED_FORM
@@ -136,7 +135,10 @@ def test_derivatives_of_the_marginal_likelihood_are_exact() -> None:
     observations = linear_observations()
     _, base = cause_and_base(1.0)
     projector = base_projector(observations.noise.whiten(base.columns))
-    kernel = _Kernel(observations, projector, linear_protocol())
+    reduce = projector.project(observations.noise.whiten(np.eye(observations.trial.size)))
+    kernel = SmoothKernel(
+        linear_protocol(), observations.trial, observations.coordinate, observations.sd, reduce
+    )
     target = projector.project(observations.noise.whiten(left(base, observations)))
     at = np.log(np.array([0.5, 1.0, 2.0, 1.0, 0.3, 0.6, 0.8]))
     _, gradient = kernel.misfit(at, target)

@@ -57,6 +57,8 @@ def changed(name: str, value: Any) -> Any:
         return OTHER
     if name == "uncertain":
         return "insertions=1mm"
+    if name == "discrepancy":
+        return "smooth"
     if name == "plausible":
         return "default"
     if name in ("keep", "leave_out"):

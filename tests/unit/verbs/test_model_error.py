@@ -1,0 +1,74 @@
+"""An error of the model that is averaged over: who takes it, what it widens, what is said of it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from slow_cases import some_slow
+
+import identknee as ik
+from identknee.laxity.table import COORDINATES
+from identknee.verbs.answer import Answer
+from identknee.verbs.values import SMOOTH
+
+SD = 0.3
+NAME = "ACL.stiffness_kN"
+CALLS: dict[str, tuple[Callable[..., Answer], dict[str, Any]]] = {
+    "information": (ik.information, {}),
+    "profile": (ik.profile, {"parameters": [NAME]}),
+    "equivalents": (ik.equivalents, {"n_sets": 4, "forces": "none"}),
+    "sample": (ik.sample, {"moves": "difference", "budget": 700}),
+}
+HELD = ["PCL.stiffness_kN", "LCL.stiffness_kN", "MCL.stiffness_kN", "LCL.reference_strain_pct"]
+
+
+@pytest.fixture(scope="module")
+def bent() -> ik.Laxity:
+    """Laxity of which one coordinate bends with flexion as no ligament makes it."""
+    made = ik.simulate("reference", "drawer")
+    shape = made.coordinates.shape
+    coordinates = made.coordinates + np.random.default_rng(2).normal(0.0, SD, shape)
+    coordinates[:, 0] += 1.5 * np.sin(made.protocol.flexion_deg / 20.0)
+    return ik.Laxity(protocol=made.protocol, coordinates=coordinates, sd=np.full(shape, SD))
+
+
+@pytest.mark.parametrize("verb", some_slow(CALLS, ("equivalents", "sample")))
+def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
+    function, options = CALLS[verb]
+    plain, found = (
+        function("reference", bent, fixed=HELD, discrepancy=x, **options)
+        for x in ("none", "smooth")
+    )
+    assert plain.question is not None
+    assert found.question is not None
+    assert plain.question.discrepancy is None
+    assert found.question.discrepancy == SMOOTH
+    assert found.question.differences(plain.question) == (
+        "error of the model that is averaged over",
+    )
+    table = {x.evidence[0].name: x.evidence[0].deviance for x in (plain, found)}
+    assert len(table) == 1
+    assert found.evidence[0].deviance < 0.7 * plain.evidence[0].deviance
+    assert "discrepancy" not in plain.uncertainty
+    sizes = dict(x.rsplit(" ", 1) for x in found.uncertainty["discrepancy"].split(", "))
+    assert max(sizes, key=lambda x: float(sizes[x])) == COORDINATES[0]
+
+
+def test_the_data_determine_less(bent: ik.Laxity) -> None:
+    plain, found = (
+        ik.information("reference", bent, fixed=HELD, discrepancy=x) for x in ("none", "0.5mm,1deg")
+    )
+    assert np.all(found.fisher.eigenvalues < plain.fisher.eigenvalues)
+
+
+def test_it_is_refused_without_a_noise(bent: ik.Laxity) -> None:
+    unknown = ik.Laxity(protocol=bent.protocol, coordinates=bent.coordinates)
+    with pytest.raises(ValueError, match="stated noise"):
+        ik.information("reference", unknown, fixed=HELD, discrepancy="smooth")
+
+
+@pytest.mark.parametrize("given", ["rough", "-1mm,1deg", "1mm"])
+def test_what_is_no_size_is_refused(given: str, bent: ik.Laxity) -> None:
+    with pytest.raises(ValueError, match="scales of its prior"):
+        ik.information("reference", bent, fixed=HELD, discrepancy=given)
