@@ -40,6 +40,7 @@ MODULES = {
     "experiments": "verify_experiments",
     "forecast": "verify_forecast",
     "states": "verify_states",
+    "discrepancy": "verify_discrepancy",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
