@@ -271,6 +271,7 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
         zero=zero,
         forces=joined_forces([x.forces for x in laxities], [x.n for x in laxities]),
         superposition=_joined_superposition(laxities, protocol),
+        is_definition_stated=all(x.is_definition_stated for x in laxities),
         findings=tuple(f for x in laxities for f in x.findings),
     )
 

@@ -28,6 +28,7 @@ from identknee.calibrate.problem import (
     typical_steps,
     with_all_priors,
 )
+from identknee.checks.ambiguous_translations import refitted_translations_findings
 from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.fit_checks import (
     APART,
@@ -688,9 +689,11 @@ def _findings(
         misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
     )
     few = too_few_findings(laxity.n_values, n_free)
+    scale = _scale(trials, laxity, found)
     starts = start_findings(
         np.array([x.theta for x in fits]),
-        np.array([x.deviance for x in fits]) / _scale(trials, laxity, found),
+        np.array([x.deviance for x in fits]) / scale,
         found.parameters,
     )
-    return check_fit(fitted, (*lost, *few, *starts, *others))
+    defined = refitted_translations_findings(trials, laxity, fits, scale)
+    return check_fit(fitted, (*lost, *few, *starts, *defined, *others))

@@ -33,6 +33,7 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.arguments import read_arguments
 from identknee.verbs.options import explained, parameters_in_full
 from identknee.verbs.question import question
+from identknee.verbs.values import noise_of
 
 
 def knee_digest(knee: Knee) -> str:
@@ -280,7 +281,9 @@ def _run(
     if "leave_out" in arguments:
         named = {k: arguments[k] or () for k in ("keep", "leave_out")}
         if laxity is not None:
-            asked = trials_asked(laxity, **named)
+            noise = arguments.get("noise")
+            stated_mm = None if noise is None else noise_of(noise)[0]
+            asked = trials_asked(laxity, noise_mm=stated_mm, **named)
             laxity = asked.laxity
         elif any(named.values()):
             raise ValueError("--keep and --leave-out name trials of DATA.csv; give it")
