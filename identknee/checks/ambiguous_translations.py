@@ -12,7 +12,7 @@ from identknee.checks.usable_trials import TrialSearch
 from identknee.laxity.protocol import ABSOLUTE
 from identknee.laxity.table import COORDINATES, TRANSLATIONS, Laxity
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
-from identknee.runs.findings import Finding, finding
+from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.record import Outcome
 from identknee.runs.words import label_without_unit, two_values_words
 
@@ -20,8 +20,9 @@ from identknee.runs.words import label_without_unit, two_values_words
 USUAL: Translations = "projections"
 # What an error counts as where no noise is stated [mm].
 UNSTATED_MM = 1.0
-# Rise of the deviance by which the data tell one definition from another: one case in a thousand.
-TOLD = 10.83
+# Rise of the deviance by which the data tell one definition from another, also where the model is
+# wrong or a search ended too high.
+TOLD = 30.0
 # Another definition is fitted if the linear model leaves at most so much more than that.
 PROMISING = 100.0
 BUDGET = 60
@@ -96,7 +97,7 @@ def refitted_translations_findings(
         if definition == USUAL:
             told = "nothing fits"
             if np.isfinite(rise):
-                told = f"deviance {abs(rise):.2g} {'higher' if rise > 0 else 'lower'}"
+                told = f"deviance {abs(rise):.0f} {'higher' if rise > 0 else 'lower'}"
             said += f", with {words[0] if words else 'the same parameters'} ({told})"
         values = {x: float(other.theta[other.parameters.index(x)]) for x in names}
         made[definition] = (most, said, float(rise), values)
@@ -108,7 +109,9 @@ def refitted_translations_findings(
         "rise": {k: x[2] for k, x in made.items()},
         "parameters": {k: x[3] for k, x in made.items()},
     }
-    return (_found(made[USUAL][0], sentence, **more),)
+    is_told = min(x[2] for x in made.values()) > TOLD
+    severity = Severity.INFO if is_told else Severity.WARNING
+    return (_found(made[USUAL][0], sentence, severity, **more),)
 
 
 def _remedy(*definitions: str) -> str:
@@ -179,6 +182,10 @@ def _largest_change(
     )
 
 
-def _found(most: _Change, sentence: str, **values: object) -> Finding:
+def _found(
+    most: _Change, sentence: str, severity: Severity = Severity.WARNING, **values: object
+) -> Finding:
     told = {"change_mm": most.change_mm, "trial": most.trial, "coordinate": most.coordinate}
-    return finding("translations-ambiguous", "data", told | values, sentence=sentence)
+    return finding(
+        "translations-ambiguous", "data", told | values, sentence=sentence, severity=severity
+    )

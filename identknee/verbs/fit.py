@@ -37,6 +37,7 @@ from identknee.checks.fit_checks import (
     bound_findings,
     check_fit,
     check_unfitted,
+    idle_parameters,
     misfit_findings,
     start_findings,
     too_few_findings,
@@ -679,6 +680,8 @@ def _findings(
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     held = (*found.fixed, *found.parameters.nuisance_names)
+    # A ligament that carries nothing is named as such.
+    idle = idle_parameters(model, prediction)
     fitted = Fitted(
         model=model,
         laxity=laxity,
@@ -686,7 +689,7 @@ def _findings(
         start=found.start,
         prediction=prediction,
         held=held,
-        misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
+        misfit=(*misfit, *bound_findings(found.theta, found.parameters, (*held, *idle))),
     )
     few = too_few_findings(laxity.n_values, n_free)
     scale = _scale(trials, laxity, found)

@@ -215,7 +215,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
                 result = replace(
                     result,
                     question=question(name, read["subject"], run.trials, bound.arguments),
-                    findings=without_repeats((*result.findings, *run.trials.findings)),
+                    findings=_with_those_of_data(result.findings, run.trials.findings),
                 )
             warned = _subject_warnings(bound.arguments, read)
             if warned:
@@ -231,6 +231,15 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
         return result
 
     return explained(called, public)
+
+
+def _with_those_of_data(
+    found: tuple[Finding, ...], of_data: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """Findings of an answer and of its data; of what both say the answer knows more."""
+    known = {(x.code, x.where) for x in found}
+    rest = (x for x in of_data if (x.code, x.where) not in known)
+    return without_repeats((*found, *rest))
 
 
 def not_resume_relevant(*names: str) -> Callable[[Function], Function]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from slow_cases import some_slow
 
-from identknee.checks.fit_checks import ligament_findings, ligament_loads
+import identknee as ik
+from identknee.checks.fit_checks import idle_parameters, ligament_findings, ligament_loads
 from identknee.diagnosis.fitting import (
     WIDER_IF_IDLE,
     fit_base,
@@ -128,3 +129,13 @@ def test_a_ligament_that_carries_load_may_be_far_from_its_prior(
     assert prediction.is_converged.all()
     assert [x.code for x in ligament_findings(model, prediction)] == codes
     assert not any(x.is_idle for x in ligament_loads(model, prediction))
+
+
+def test_a_fit_names_what_carries_nothing_and_no_bound_of_it() -> None:
+    found = ik.fit("reference", without("ACL"), weighting="noise", more_starts=0)
+    assert [x.where for x in found.findings if x.code == "ligament-idle"] == ["ACL"]
+    limited = [p for x in found.findings if x.code == "at-bound" for p in x.values["parameters"]]
+    assert not [x for x in limited if x.startswith("ACL.")]
+    model = LaxityModel(knee=reference_knee(), protocol=without("ACL").protocol)
+    prediction = model.predict(found.theta, derivatives=False)
+    assert idle_parameters(model, prediction) == (f"ACL.{STIFFNESS}", f"ACL.{STRAIN}")
