@@ -589,7 +589,8 @@ def fit(
         )
     compared = None
     if weighting == "noise" and not is_robust and np.isfinite(found.objective):
-        compared = term_agreement(whole, used.laxity, found.theta, seed=seed)
+        ends = [x.theta for x in fits[1:]]
+        compared = term_agreement(whole, used.laxity, found.theta, ends=ends, seed=seed)
     return Calibration(
         **simulated(model, prediction),
         start=start_word(start),
