@@ -42,7 +42,7 @@ from identknee.laxity.protocol import (
     zero_fault,
 )
 from identknee.laxity.storage import SUFFIXES
-from identknee.laxity.superposition import Superposition, check_paths
+from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
     TIME,
@@ -351,7 +351,8 @@ def write_laxity(
     """Path of a CSV file that now holds `laxity`, and that `read_laxity` reads back equal.
 
     Numbers are the shortest that read back bit for bit; the protocol's name is not written. In-situ
-    forces of replayed paths have a table of their own, which `write_superposition` writes.
+    forces of replayed paths have a table of their own: that of ``a.csv`` is ``a_insitu.csv`` beside
+    it, for the line ``superposition`` of an experiments file.
 
     Parameters
     ----------
@@ -389,7 +390,7 @@ def write_laxity(
         lines.append(f"# within_trial_correlation: {float(laxity.within_trial_correlation)!r}")
     if laxity.zero != ABSOLUTE:
         lines.append(f"# zero: {laxity.zero}")
-    if laxity.zero == ABSOLUTE and laxity.is_definition_stated:
+    if translations != COMPONENTS or (laxity.zero == ABSOLUTE and laxity.is_definition_stated):
         lines.append(f"# translations: {translations}")
     protocol = laxity.protocol
     header = ["trial", FLEXION, *LOADS, *COORDINATES]
@@ -413,6 +414,9 @@ def write_laxity(
             for row, value in zip(rows, extra, strict=True):
                 row.append(str(value))
     lines += [written(cells) for cells in (header, *rows)]
+    if laxity.superposition is not None:
+        own = Path(path)
+        write_superposition(laxity.superposition, own.with_name(f"{own.stem}_insitu{own.suffix}"))
     return write_atomically(path, "\n".join(lines) + "\n")
 
 
