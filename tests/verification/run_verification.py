@@ -40,6 +40,7 @@ MODULES = {
     "experiments": "verify_experiments",
     "forecast": "verify_forecast",
     "states": "verify_states",
+    "opensim_cut": "verify_opensim_cut",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }
