@@ -6,7 +6,7 @@ References
        https://doi.org/10.1103/PhysRevD.68.033020
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
+from identknee.runs.record import Outcome
 
 N_DRAWS, BUDGET = 1999, 60
 # Columns of a Jacobian that are shorter than this share of the longest have no effect.
@@ -65,16 +66,21 @@ class Agreement:
 
 
 def agreement(
-    problem: Problem, theta: Array, terms: Mapping[str, IntArray], *, seed: int = 0
+    problem: Problem,
+    theta: Array,
+    terms: Mapping[str, IntArray],
+    *,
+    starts: Sequence[Array] = (),
+    seed: int = 0,
 ) -> Agreement:
     """Compare the fit to all terms with the fits to each.
 
     The measure is the parameter goodness of fit of Maltoni and Schwetz, equation 8.
 
-    Each term is fitted from the fit to all, with a copy of all parameters and their priors of its
-    own. How far terms that agree would differ is drawn from the model linear at the fit to all,
-    where parameters at a bound stay. If the terms are not even fitted alone, the noise counts as
-    larger, as they show it.
+    Each term is fitted from the fit to all and from `starts`, with a copy of all parameters and
+    their priors of its own. How far terms that agree would differ is drawn from the model linear at
+    the fit to all, where parameters at a bound stay. If the terms are not even fitted alone, the
+    noise counts as larger, as they show it.
 
     Parameters
     ----------
@@ -84,6 +90,8 @@ def agreement(
         The best fit to all, shape ``(p,)``.
     terms
         Which residuals each term has, by its name; two or more.
+    starts
+        Where fits to single terms begin beside `theta`: alone a term may have its minimum far off.
     seed
         Of the draws.
     """
@@ -93,11 +101,7 @@ def agreement(
     places = {name: np.r_[rows, priors] for name, rows in terms.items()}
     used = np.r_[np.concatenate(list(terms.values())), priors]
     alone = {
-        name: min(
-            2.0
-            * fit(SelectedResiduals(problem=problem, rows=rows), theta, budget=BUDGET).objective,
-            sum_of_squares(residuals[rows]),
-        )
+        name: min(_alone(problem, rows, (theta, *starts)), sum_of_squares(residuals[rows]))
         for name, rows in places.items()
     }
     together = {name: sum_of_squares(residuals[rows]) for name, rows in places.items()}
@@ -135,6 +139,15 @@ def agreement(
         p_value=_share(np.sum(list(rises.values()), axis=0) - repeated, difference / inflation),
         inflation=inflation,
     )
+
+
+def _alone(problem: Problem, rows: IntArray, starts: Sequence[Array]) -> float:
+    """The least deviance of some residuals; the search that came lowest goes on to its end."""
+    term = SelectedResiduals(problem=problem, rows=rows)
+    lowest = min((fit(term, x, budget=BUDGET) for x in starts), key=lambda x: x.objective)
+    if lowest.outcome is Outcome.BUDGET:
+        lowest = fit(term, lowest.theta)
+    return 2.0 * lowest.objective
 
 
 def _basis(jacobian: Array) -> Array:

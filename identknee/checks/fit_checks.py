@@ -29,7 +29,7 @@ from identknee.laxity.trial_words import load_words
 from identknee.model.contact_loads import contact_values
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, tensions_of
-from identknee.model.parameters import Parameters
+from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
@@ -354,6 +354,7 @@ CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2
 # A ligament with at most so much of the load that its prior would give it in the same poses carries
 # nothing, where that load is at least so large [N]: less no laxity test can tell.
 IDLE_SHARE, LEAST_LOAD_N = 0.05, 10.0
+IDLE = "ligament-idle"
 VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
 
 
@@ -414,7 +415,7 @@ def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Findi
                 "force_N": load.force_N,
                 "prior_force_N": load.prior_force_N,
             }
-            found.append(finding("ligament-idle", load.name, values))
+            found.append(finding(IDLE, load.name, values))
         elif chance * n < BEYOND_PRIOR:
             values = {
                 "ligament": load.name,
@@ -426,6 +427,21 @@ def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Findi
             }
             found.append(finding("ligament-beyond-prior", load.name, values))
     return tuple(found)
+
+
+def idle_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
+    """Ligaments that carry nothing, of those of `ligament_findings`."""
+    return tuple(x for x in ligament_findings(model, prediction) if x.code == IDLE)
+
+
+def idle_parameters(model: LaxityModel, prediction: Prediction) -> tuple[str, ...]:
+    """Parameters of ligaments that carry nothing: no bound of theirs limits a fit."""
+    return tuple(
+        f"{x.name}.{quantity}"
+        for x in ligament_loads(model, prediction)
+        if x.is_idle
+        for quantity in (STIFFNESS, STRAIN)
+    )
 
 
 def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
@@ -552,6 +568,7 @@ def check_fit(
         *fitted.misfit,
         *stability_findings(model),
         *rim_findings(model.protocol.trials, fitted.prediction),
+        *idle_findings(model, fitted.prediction),
         *implausible_findings(model, fitted.prediction),
     ]
     table = table_findings(model, whole)

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identknee.checks.ambiguous_translations import translations_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,
     suspicious_end_points,
@@ -41,7 +42,11 @@ class TrialsAsked:
 
 
 def trials_asked(
-    laxity: Laxity, *, keep: Sequence[str] = (), leave_out: Sequence[str] = ()
+    laxity: Laxity,
+    *,
+    keep: Sequence[str] = (),
+    leave_out: Sequence[str] = (),
+    noise_mm: float | None = None,
 ) -> TrialsAsked:
     """The trials of a table that a verb asks about.
 
@@ -53,6 +58,8 @@ def trials_asked(
         Names of trials to keep although the table contradicts them; ``*`` stands for any letters.
     leave_out
         Names of trials to leave out.
+    noise_mm
+        Standard deviation of lengths where one is stated beside the table.
 
     Raises
     ------
@@ -78,6 +85,7 @@ def trials_asked(
         contradicted=tuple(np.array(trials, object)[is_off]),
         findings=(
             *laxity.findings,
+            *translations_findings(left, noise_mm),
             *trial_findings(rows, without, "trial-against-course", is_left_out=True),
             *(
                 finding("trial-left-out", trials[i], {"trial": trials[i]})

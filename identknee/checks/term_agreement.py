@@ -1,5 +1,7 @@
 """Which terms of the evidence there are: experiments, states, forces; and whether they agree."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identknee.calibrate.agreement import Agreement, agreement
@@ -19,6 +21,8 @@ from identknee.runs.findings import Finding, finding
 LEVEL = 0.01
 # Fewer values than this are no term of their own.
 LEAST_VALUES = 5
+# Ends of other searches from which fits to single terms begin.
+MOST_STARTS = 3
 
 
 def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
@@ -54,11 +58,34 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
 
 
 def term_agreement(
-    problem: Problem, laxity: Laxity, theta: Array, *, seed: int = 0
+    problem: Problem,
+    laxity: Laxity,
+    theta: Array,
+    *,
+    ends: Sequence[Array] = (),
+    seed: int = 0,
 ) -> Agreement | None:
-    """Whether the terms of a fit agree; None where there is one alone."""
+    """Whether the terms of a fit agree; None where there is one alone.
+
+    Parameters
+    ----------
+    problem, laxity
+        Of the fit, and its data.
+    theta
+        The best fit.
+    ends
+        Other ends of searches: fits to single terms begin there and at the start too.
+    seed
+        Of the draws.
+    """
     terms = rows_by_term(problem, laxity)
-    return agreement(problem, theta, terms, seed=seed) if len(terms) > 1 else None
+    if len(terms) < 2:
+        return None
+    starts = [x for x in ends if np.isfinite(problem.residuals(x)).all()][:MOST_STARTS]
+    begin = problem.parameters.start
+    if np.isfinite(problem.residuals(begin)).all():
+        starts.append(begin)
+    return agreement(problem, theta, terms, starts=starts, seed=seed)
 
 
 def agreement_findings(found: Agreement | None) -> tuple[Finding, ...]:

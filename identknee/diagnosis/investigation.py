@@ -9,8 +9,8 @@ from identknee.calibrate.fit import load_start
 from identknee.checks.data_noise import DataNoise
 from identknee.checks.fit_checks import (
     bound_findings,
+    idle_parameters,
     ligament_findings,
-    ligament_loads,
     parameters_at_zero,
 )
 from identknee.checks.subject_checks import stability_findings
@@ -55,7 +55,6 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding
@@ -199,12 +198,7 @@ class Investigation:
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         found = fitted.model.predict_once(fitted.theta)
         # Nor does one of a ligament that carries nothing limit the fit.
-        idle = (
-            f"{x.name}.{quantity}"
-            for x in ligament_loads(fitted.model, found)
-            if x.is_idle
-            for quantity in (STIFFNESS, STRAIN)
-        )
+        idle = idle_parameters(fitted.model, found)
         held = (*parameters.nuisance_names, *absent, *idle)
         findings += bound_findings(fitted.theta, parameters, held)
         findings += ligament_findings(fitted.model, found)

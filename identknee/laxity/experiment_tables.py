@@ -47,6 +47,7 @@ class ExperimentTable(Part):
         False
     )
     state: Text = INTACT
+    side: Text = ""
 
 
 class RigTable(Part):
@@ -136,6 +137,7 @@ def _of_file(path: Path) -> Laxity:
                 rig=x.rig,
                 mounting=f"{x.rig}-{mounted[x.rig]}",
                 uncertainty=rig.uncertainty,
+                side=x.side,
             )
             table = _in_state(read_laxity(path.parent / x.table), x.state)
             tables.append((experiment, _with_noise(table, rig.noise)))
@@ -240,6 +242,12 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
     names = [x.name for x in experiments]
     if twice := next((x for x in names if names.count(x) > 1), ""):
         raise ValueRefused(f"two experiments are called {twice}", "give each its own name")
+    sided = [x for x in experiments if x.side]
+    if other := next((x for x in sided if x.side != sided[0].side), None):
+        raise ValueRefused(
+            f"{sided[0].name} is of a {sided[0].side} knee, and {other.name} of a {other.side} one",
+            "fit the two sides each alone: they are two knees",
+        )
     laxities = [x for _, x in tables]
     zero = _common([x.zero for x in laxities], names, "count coordinates from", "convert one")
     if zero not in ("absolute", "unloaded", "opposite"):
@@ -271,6 +279,7 @@ def joined(tables: Sequence[tuple[Experiment, Laxity]]) -> Laxity:
         zero=zero,
         forces=joined_forces([x.forces for x in laxities], [x.n for x in laxities]),
         superposition=_joined_superposition(laxities, protocol),
+        is_definition_stated=all(x.is_definition_stated for x in laxities),
         findings=tuple(f for x in laxities for f in x.findings),
     )
 

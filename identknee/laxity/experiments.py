@@ -50,8 +50,11 @@ class Experiment:
         "`load_cell_N` and `load_cell_Nm`",
         default_factory=dict,
     )
+    side: str = entry("Side of the knee, left or right; empty where it is not stated", default="")
 
     def __post_init__(self) -> None:
+        if self.side not in ("", "left", "right"):
+            raise ValueRefused(f"the side {self.side!r} is unknown", "write left or right")
         for kind in ("name", "rig", "mounting"):
             if not _NAME.fullmatch(name := getattr(self, kind)):
                 raise ValueRefused(

@@ -42,7 +42,7 @@ from identknee.laxity.protocol import (
     zero_fault,
 )
 from identknee.laxity.storage import SUFFIXES
-from identknee.laxity.superposition import Superposition, check_paths
+from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
     TIME,
@@ -161,6 +161,12 @@ class Laxity:
         group="superposition",
         default=None,
     )
+    is_definition_stated: bool = entry(
+        "Whether it is known that the translations are components, or were made so; False of a "
+        "file that does not say it",
+        is_in_json=False,
+        default=True,
+    )
     findings: tuple[Finding, ...] = entry(
         "Findings: what reading a file did to its numbers; answers have them among their own",
         is_in_json=False,
@@ -244,6 +250,7 @@ class Laxity:
             zero=self.zero,
             forces=None if self.forces is None else self.forces.select(chosen),
             superposition=self._superposition_of(chosen),
+            is_definition_stated=self.is_definition_stated,
             findings=self.findings,
         )
 
@@ -281,6 +288,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         If the file breaks a rule; the message names the row (the line number in the file), the
         column and what to do.
     """
+    is_named = isinstance(path, str) and path in TABLES
     with CellFile.open(path if is_frame(path) else laxity_file(path)) as file:
         file.read_renamed_columns()
         file.read_opposite_columns(OPPOSITES)
@@ -310,6 +318,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         within_trial_correlation=said.correlation,
         comments=said.comments,
         zero=said.zero,
+        is_definition_stated=said.is_definition_stated or is_named,
         findings=tuple(file.findings),
         **extra,
     )
@@ -342,7 +351,8 @@ def write_laxity(
     """Path of a CSV file that now holds `laxity`, and that `read_laxity` reads back equal.
 
     Numbers are the shortest that read back bit for bit; the protocol's name is not written. In-situ
-    forces of replayed paths have a table of their own, which `write_superposition` writes.
+    forces of replayed paths have a table of their own: that of ``a.csv`` is ``a_insitu.csv`` beside
+    it, for the line ``superposition`` of an experiments file.
 
     Parameters
     ----------
@@ -380,7 +390,7 @@ def write_laxity(
         lines.append(f"# within_trial_correlation: {float(laxity.within_trial_correlation)!r}")
     if laxity.zero != ABSOLUTE:
         lines.append(f"# zero: {laxity.zero}")
-    if translations != COMPONENTS:
+    if translations != COMPONENTS or (laxity.zero == ABSOLUTE and laxity.is_definition_stated):
         lines.append(f"# translations: {translations}")
     protocol = laxity.protocol
     header = ["trial", FLEXION, *LOADS, *COORDINATES]
@@ -404,6 +414,9 @@ def write_laxity(
             for row, value in zip(rows, extra, strict=True):
                 row.append(str(value))
     lines += [written(cells) for cells in (header, *rows)]
+    if laxity.superposition is not None:
+        own = Path(path)
+        write_superposition(laxity.superposition, own.with_name(f"{own.stem}_insitu{own.suffix}"))
     return write_atomically(path, "\n".join(lines) + "\n")
 
 

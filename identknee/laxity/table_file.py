@@ -614,12 +614,15 @@ class Statements:
         What coordinates are counted from.
     translations
         Definition of the translations.
+    is_definition_stated
+        Whether the file says it.
     """
 
     comments: tuple[str, ...]
     correlation: float
     zero: str
     translations: Translations
+    is_definition_stated: bool
 
 
 def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statements:
@@ -660,6 +663,7 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
         correlation=correlation,
         zero=zero,
         translations=_translations(file, stated["translations"], lines, zero),
+        is_definition_stated="translations" in lines,
     )
 
 

@@ -152,6 +152,12 @@ def check_states(knee: Knee, protocol: Protocol) -> None:
     ValueError
         Naming the first such state.
     """
+    for one in protocol.experiments or ():
+        if one.side and one.side != knee.side:
+            raise ValueRefused(
+                f"{one.name} is of a {one.side} knee, and {knee.name} is a {knee.side} one",
+                "give the tables of one side",
+            )
     groups = [x.name for x in knee.groups]
     names = {x.name for x in knee.ligaments}
     for state in dict.fromkeys(protocol.state or ()):

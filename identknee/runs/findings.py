@@ -139,6 +139,15 @@ _ALL = (
         distinct=("coordinate",),
     ),
     FindingKind(
+        code="translations-ambiguous",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="A table does not say how its translations are defined, and by another definition "
+        "in use they would differ by more than the noise.",
+        remedy="State the definition in a line of the table: # translations: components, or "
+        "projections, femur or tibia.",
+    ),
+    FindingKind(
         code="angles-in-radians",
         severity=WARNING,
         about=About.DATA,

@@ -28,6 +28,7 @@ from identknee.calibrate.problem import (
     typical_steps,
     with_all_priors,
 )
+from identknee.checks.ambiguous_translations import refitted_translations_findings
 from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.fit_checks import (
     APART,
@@ -36,6 +37,7 @@ from identknee.checks.fit_checks import (
     bound_findings,
     check_fit,
     check_unfitted,
+    idle_parameters,
     misfit_findings,
     start_findings,
     too_few_findings,
@@ -587,7 +589,8 @@ def fit(
         )
     compared = None
     if weighting == "noise" and not is_robust and np.isfinite(found.objective):
-        compared = term_agreement(whole, used.laxity, found.theta, seed=seed)
+        ends = [x.theta for x in fits[1:]]
+        compared = term_agreement(whole, used.laxity, found.theta, ends=ends, seed=seed)
     return Calibration(
         **simulated(model, prediction),
         start=start_word(start),
@@ -678,6 +681,8 @@ def _findings(
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     held = (*found.fixed, *found.parameters.nuisance_names)
+    # A ligament that carries nothing is named as such.
+    idle = idle_parameters(model, prediction)
     fitted = Fitted(
         model=model,
         laxity=laxity,
@@ -685,12 +690,14 @@ def _findings(
         start=found.start,
         prediction=prediction,
         held=held,
-        misfit=(*misfit, *bound_findings(found.theta, found.parameters, held)),
+        misfit=(*misfit, *bound_findings(found.theta, found.parameters, (*held, *idle))),
     )
     few = too_few_findings(laxity.n_values, n_free)
+    scale = _scale(trials, laxity, found)
     starts = start_findings(
         np.array([x.theta for x in fits]),
-        np.array([x.deviance for x in fits]) / _scale(trials, laxity, found),
+        np.array([x.deviance for x in fits]) / scale,
         found.parameters,
     )
-    return check_fit(fitted, (*lost, *few, *starts, *others))
+    defined = refitted_translations_findings(trials, laxity, fits, scale)
+    return check_fit(fitted, (*lost, *few, *starts, *defined, *others))

@@ -25,6 +25,7 @@ from identknee.checks.fit_checks import (
     check_fit,
     conditional_findings,
     feasibility_findings,
+    idle_parameters,
     misfit_findings,
     nuisance_findings,
     start_findings,
@@ -153,7 +154,9 @@ class Identification:
             # That the noise was estimated is among the assumptions.
             left = unstated_misfit_findings(*self.estimated_noise)
             misfit = tuple(x for x in left if x.severity is not Severity.INFO)
-        bounds = bound_findings(theta, parameters, parameters.nuisance_names)
+        prediction = self.model.predict_once(whole)
+        held_at = (*parameters.nuisance_names, *idle_parameters(self.model, prediction))
+        bounds = bound_findings(theta, parameters, held_at)
         others = [*self.lost, *feasibility_findings(self.problem, theta)]
         if fits:
             thetas = np.array([x.theta for x in fits])
@@ -166,7 +169,7 @@ class Identification:
             laxity=self.laxity,
             table=self.table,
             start=self.free.expand(self.start),
-            prediction=self.model.predict_once(whole),
+            prediction=prediction,
             held=tuple(held),
             misfit=(*misfit, *bounds),
         )

@@ -33,6 +33,7 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.arguments import read_arguments
 from identknee.verbs.options import explained, parameters_in_full
 from identknee.verbs.question import question
+from identknee.verbs.values import noise_of
 
 
 def knee_digest(knee: Knee) -> str:
@@ -214,7 +215,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
                 result = replace(
                     result,
                     question=question(name, read["subject"], run.trials, bound.arguments),
-                    findings=without_repeats((*result.findings, *run.trials.findings)),
+                    findings=_with_those_of_data(result.findings, run.trials.findings),
                 )
             warned = _subject_warnings(bound.arguments, read)
             if warned:
@@ -230,6 +231,15 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
         return result
 
     return explained(called, public)
+
+
+def _with_those_of_data(
+    found: tuple[Finding, ...], of_data: tuple[Finding, ...]
+) -> tuple[Finding, ...]:
+    """Findings of an answer and of its data; of what both say the answer knows more."""
+    known = {(x.code, x.where) for x in found}
+    rest = (x for x in of_data if (x.code, x.where) not in known)
+    return without_repeats((*found, *rest))
 
 
 def not_resume_relevant(*names: str) -> Callable[[Function], Function]:
@@ -280,7 +290,9 @@ def _run(
     if "leave_out" in arguments:
         named = {k: arguments[k] or () for k in ("keep", "leave_out")}
         if laxity is not None:
-            asked = trials_asked(laxity, **named)
+            noise = arguments.get("noise")
+            stated_mm = None if noise is None else noise_of(noise)[0]
+            asked = trials_asked(laxity, noise_mm=stated_mm, **named)
             laxity = asked.laxity
         elif any(named.values()):
             raise ValueError("--keep and --leave-out name trials of DATA.csv; give it")

@@ -41,6 +41,7 @@ MODULES = {
     "forecast": "verify_forecast",
     "states": "verify_states",
     "discrepancy": "verify_discrepancy",
+    "opensim_cut": "verify_opensim_cut",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }

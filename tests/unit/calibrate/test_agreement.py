@@ -1,6 +1,6 @@
 """Terms fitted together and alone: the linear model in closed form, rates, and tension found."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import binomtest, chi2, kstest
 
 from identknee.calibrate.agreement import Agreement, agreement
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
 N, P = 12, 3
@@ -87,3 +88,26 @@ def test_a_parameter_at_its_bound_adds_a_degree_of_freedom() -> None:
     found = agreement(problem, theta, TERMS, seed=3)
     p = chi2.sf(found.difference / found.inflation, P + 1)
     assert binomtest(round(found.p_value * 2000), 2000, p).pvalue > 1e-3
+
+
+@dataclass(frozen=True)
+class Valleys:
+    """Minima of the first term near every whole number, the lowest at 2; the other is at 0."""
+
+    parameters: Parameters = field(default_factory=lambda: plain_parameters(1, -5.0, 5.0))
+
+    def residuals(self, theta: Array) -> Array:
+        x = float(theta[0])
+        return np.array([0.2 * (x - 2.0), 3.0 * np.sin(np.pi * x), 2.0 * x, x])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.array([[0.2], [3.0 * np.pi * np.cos(np.pi * float(theta[0]))], [2.0], [1.0]])
+
+
+def test_a_term_alone_may_have_its_minimum_far_from_the_fit_to_all() -> None:
+    terms = {"one": np.array([0, 1]), "other": np.array([2, 3])}
+    here = agreement(Valleys(), np.zeros(1), terms)
+    assert here.terms[0].alone > 0.1
+    found = agreement(Valleys(), np.zeros(1), terms, starts=(np.array([1.9]),))
+    assert found.terms[0].alone < 1e-9
+    assert found.difference > here.difference + 0.1

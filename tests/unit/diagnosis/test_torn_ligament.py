@@ -7,7 +7,8 @@ import pytest
 from slow_cases import some_slow
 from verdict_cases import torn_outcome
 
-from identknee.checks.fit_checks import ligament_findings, ligament_loads
+import identknee as ik
+from identknee.checks.fit_checks import idle_parameters, ligament_findings, ligament_loads
 from identknee.diagnosis.fitting import (
     WIDER_IF_IDLE,
     fit_base,
@@ -138,3 +139,13 @@ def test_a_knee_that_folds_without_its_ligament_is_adequate(seed: int) -> None:
     found = torn_outcome("lenhart2015_stable", seed)
     assert found["named"]
     assert found["verdict"] == Verdict.ADEQUATE.value
+
+
+def test_a_fit_names_what_carries_nothing_and_no_bound_of_it() -> None:
+    found = ik.fit("reference", without("ACL"), weighting="noise", more_starts=0)
+    assert [x.where for x in found.findings if x.code == "ligament-idle"] == ["ACL"]
+    limited = [p for x in found.findings if x.code == "at-bound" for p in x.values["parameters"]]
+    assert not [x for x in limited if x.startswith("ACL.")]
+    model = LaxityModel(knee=reference_knee(), protocol=without("ACL").protocol)
+    prediction = model.predict(found.theta, derivatives=False)
+    assert idle_parameters(model, prediction) == (f"ACL.{STIFFNESS}", f"ACL.{STRAIN}")

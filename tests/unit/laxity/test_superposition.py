@@ -179,3 +179,18 @@ def test_joined_tables_keep_their_paths() -> None:
     whole = joined(pairs).superposition
     assert whole is not None
     assert whole.trials == (f"b/{protocol.trials[1]}",)
+
+
+def test_a_laxity_is_written_with_its_in_situ_forces(tmp_path: Path) -> None:
+    """They were left out without a word."""
+    (tmp_path / "tests.csv").write_text(TABLE)
+    row = "a,ACL,intact,cut: ACL,-10,100,5,4,4,4\n"
+    _written(tmp_path, HEADER + row)
+    (tmp_path / "experiments.toml").write_text(TOML)
+    whole = read_experiments(tmp_path / "experiments.toml")
+    path = ik.write_laxity(whole, tmp_path / "again.csv")
+    assert whole.superposition is not None
+    again = read_superposition(path.with_name("again_insitu.csv"))
+    np.testing.assert_array_equal(again.values, whole.superposition.values)
+    np.testing.assert_array_equal(again.sd, whole.superposition.sd)
+    assert again.trials == whole.superposition.trials

@@ -1,0 +1,191 @@
+"""Whether it matters how translations are defined, in a table that does not say it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from identknee.calibrate.fit import Fit, fit
+from identknee.calibrate.problem import Problem, typical_steps
+from identknee.checks.usable_trials import TrialSearch
+from identknee.laxity.protocol import ABSOLUTE
+from identknee.laxity.table import COORDINATES, TRANSLATIONS, Laxity
+from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
+from identknee.runs.findings import Finding, Severity, finding
+from identknee.runs.record import Outcome
+from identknee.runs.words import label_without_unit, two_values_words
+
+# The definition that other tools compute: the one that a table which says nothing may have.
+USUAL: Translations = "projections"
+# What an error counts as where no noise is stated [mm].
+UNSTATED_MM = 1.0
+# Rise of the deviance by which the data tell one definition from another, also where the model is
+# wrong or a search ended too high.
+TOLD = 30.0
+# Another definition is fitted if the linear model leaves at most so much more than that.
+PROMISING = 100.0
+BUDGET = 60
+MOST_STARTS = 3
+# Parameters that moved by less, in typical steps (3 kN, 2 %), are the same.
+APART = 0.1
+MOST_NAMED = 2
+UNSAID = "The table does not define its translations, and they were read as components."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Change:
+    """How much one length changes by another definition, and where."""
+
+    change_mm: float
+    trial: str
+    coordinate: str
+
+
+def translations_findings(laxity: Laxity, noise_mm: float | None = None) -> tuple[Finding, ...]:
+    """That another definition of the translations would change them by more than the noise.
+
+    Parameters
+    ----------
+    laxity
+        The table as it was read.
+    noise_mm
+        Standard deviation of lengths; None for those of the table or, where it states none, 1 mm.
+    """
+    if (most := _largest_change(laxity, USUAL, noise_mm)) is None:
+        return ()
+    sentence = (
+        f"{UNSAID} As {USUAL} the {label_without_unit(most.coordinate)} of {most.trial} would be "
+        f"{most.change_mm:.1f} mm off. {_remedy(USUAL)}"
+    )
+    return (_found(most, sentence),)
+
+
+def refitted_translations_findings(
+    trials: TrialSearch, laxity: Laxity, fits: Sequence[Fit], scale: float
+) -> tuple[Finding, ...]:
+    """What parameters would be by another definition, and how well it fits.
+
+    Parameters
+    ----------
+    trials
+        The search that the fit came from.
+    laxity
+        The trials that it used.
+    fits
+        The fit, and other ends of searches.
+    scale
+        Variance of its residuals.
+    """
+    if not np.isfinite(fits[0].objective):
+        return ()
+    noise_mm = None if trials.weighting == "noise" else UNSTATED_MM
+    made: dict[Translations, tuple[_Change, str, float, dict[str, float]]] = {}
+    for definition in DEFINITIONS:
+        most = _largest_change(laxity, definition, noise_mm)
+        if most is None:
+            continue
+        problem = trials.problem_everywhere(_by(laxity, definition))
+        if definition != USUAL and not _promises(problem, fits[0], scale):
+            continue
+        other = _refitted(problem, fits)
+        rise = (other.deviance - fits[0].deviance) / scale
+        if definition != USUAL and not rise <= TOLD:
+            continue
+        names, words = _differences(fits[0], other)
+        said = f"as {definition} they differ by up to {most.change_mm:.1f} mm"
+        if definition == USUAL:
+            told = "nothing fits"
+            if np.isfinite(rise):
+                told = f"deviance {abs(rise):.0f} {'higher' if rise > 0 else 'lower'}"
+            said += f", with {words[0] if words else 'the same parameters'} ({told})"
+        values = {x: float(other.theta[other.parameters.index(x)]) for x in names}
+        made[definition] = (most, said, float(rise), values)
+    if USUAL not in made:
+        return ()
+    said = "; ".join(x[1] for x in made.values())
+    sentence = f"{UNSAID} {said[0].upper()}{said[1:]}. {_remedy(*made)}"
+    more = {
+        "rise": {k: x[2] for k, x in made.items()},
+        "parameters": {k: x[3] for k, x in made.items()},
+    }
+    is_told = min(x[2] for x in made.values()) > TOLD
+    severity = Severity.INFO if is_told else Severity.WARNING
+    return (_found(made[USUAL][0], sentence, severity, **more),)
+
+
+def _remedy(*definitions: str) -> str:
+    return f"Add a line: # translations: {' or '.join((COMPONENTS, *definitions))}."
+
+
+def _differences(found: Fit, other: Fit) -> tuple[list[str], list[str]]:
+    """The parameters of interest that differ most between two fits, and both values in words."""
+    parameters = found.parameters
+    size = np.abs(other.theta - found.theta) / typical_steps(parameters)
+    size = np.where(parameters.is_of_interest, size, 0.0)
+    apart = [i for i in np.argsort(-size, kind="stable")[:MOST_NAMED] if size[i] > APART]
+    names = [parameters.names[i] for i in apart]
+    return names, [
+        two_values_words(name, found.theta[i], other.theta[i])
+        for name, i in zip(names, apart, strict=True)
+    ]
+
+
+def _refitted(problem: Problem, fits: Sequence[Fit]) -> Fit:
+    """The lowest fit to a table read otherwise, from the ends of those to the table as it is."""
+    one = fits[0]
+    search = partial(fit, problem, fixed=one.fixed, priors=one.priors, seed=one.seed)
+    starts = [x.theta for x in fits if np.isfinite(x.objective)][:MOST_STARTS]
+    lowest = min((search(x, budget=BUDGET) for x in starts), key=lambda x: x.objective)
+    return search(lowest.theta) if lowest.outcome is Outcome.BUDGET else lowest
+
+
+def _promises(problem: Problem, found: Fit, scale: float) -> bool:
+    """Whether the linear model leaves little enough of a table for a fit to be worth it."""
+    rows, slopes = problem.residuals(found.theta), problem.jacobian(found.theta)
+    if not (np.isfinite(rows).all() and np.isfinite(slopes).all()):
+        return False
+    slopes = slopes * typical_steps(found.parameters)
+    step = np.linalg.lstsq(slopes, -rows, rcond=None)[0]
+    left = float(np.sum((rows + slopes @ step) ** 2))
+    return left - found.deviance <= PROMISING * scale
+
+
+def _by(laxity: Laxity, definition: Translations) -> Laxity:
+    """The table with the numbers that it has, taken for those of another definition."""
+    flexion = laxity.protocol.flexion_deg
+    return replace(laxity, coordinates=to_components(definition, flexion, laxity.coordinates))
+
+
+def _largest_change(
+    laxity: Laxity, definition: Translations, noise_mm: float | None
+) -> _Change | None:
+    """The largest change of a length by another definition; None within the noise."""
+    is_open = not laxity.is_definition_stated and laxity.zero == ABSOLUTE
+    if definition == COMPONENTS or not is_open:
+        return None
+    made = _by(laxity, definition).coordinates
+    if (np.isnan(made) != np.isnan(laxity.coordinates)).any():
+        return None
+    change = np.nan_to_num(np.abs(made - laxity.coordinates)[:, TRANSLATIONS])
+    noise = np.full(change.shape, UNSTATED_MM if noise_mm is None else noise_mm)
+    if noise_mm is None and laxity.sd is not None:
+        noise = np.where(laxity.is_measured, laxity.sd, np.inf)[:, TRANSLATIONS]
+        noise = np.nan_to_num(noise, nan=UNSTATED_MM, posinf=np.inf)
+    if not (change > noise).any():
+        return None
+    row, column = np.unravel_index(int(np.argmax(change / noise)), change.shape)
+    return _Change(
+        change_mm=float(change[row, column]),
+        trial=laxity.protocol.trials[row],
+        coordinate=COORDINATES[column],
+    )
+
+
+def _found(
+    most: _Change, sentence: str, severity: Severity = Severity.WARNING, **values: object
+) -> Finding:
+    told = {"change_mm": most.change_mm, "trial": most.trial, "coordinate": most.coordinate}
+    return finding(
+        "translations-ambiguous", "data", told | values, sentence=sentence, severity=severity
+    )
