@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from identknee.report.figures import vector
+from identknee.report.methods import methods_text
 from identknee.report.notebook import result_of
-from identknee.report.page.page import report_drawings, report_html
+from identknee.report.page.page import report_drawings, report_html, report_tables
 from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
 from identknee.report.page.viewer import scene_of
+from identknee.report.table_files import table_files
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
@@ -18,12 +20,23 @@ from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 
-FIGURES = "figures"
+FIGURES, TABLES, METHODS = "figures", "tables", "methods.md"
 
 
-def write_report(folder: Path, page: Path, figures: str | None = None) -> dict[str, Any]:
+def write_report(
+    folder: Path,
+    page: Path,
+    figures: str | None = None,
+    tables: Sequence[str] = (),
+    *,
+    methods: bool = False,
+) -> dict[str, Any]:
     """What was found and written; the page is at `page`."""
-    return write_page(found_results(folder), page, figures)
+    results = found_results(folder)
+    made = write_page(results, page, figures, tables)
+    if methods:
+        made["methods"] = str(write_atomically(page.parent / METHODS, _methods(results)))
+    return made
 
 
 def report_on(
@@ -59,7 +72,11 @@ def report_on(
 
 
 def write_page(
-    results: Sequence[Result], page: Path, figures: str | None = None, knee: Knee | None = None
+    results: Sequence[Result],
+    page: Path,
+    figures: str | None = None,
+    tables: Sequence[str] = (),
+    knee: Knee | None = None,
 ) -> dict[str, Any]:
     """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
@@ -77,6 +94,7 @@ def write_page(
         "report": str(page),
         "results": [{"verb": x.verb, "folder": str(x.folder)} for x in results],
         "figures": [] if figures is None else _write_figures(drawn, page.parent, figures),
+        "tables": _write_tables(results, page.parent, tables) if tables else [],
         "remarks": remarks,
     }
 
@@ -102,3 +120,15 @@ def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[s
         str(write_atomically(place / f"{name}.{form}", vector(drawing.figure, form)))
         for name, drawing in progress(report_drawings(results), description="drawing figures")
     ]
+
+
+def _write_tables(results: Sequence[Result], folder: Path, forms: Sequence[str]) -> list[str]:
+    place = prepare_folder(folder / TABLES)
+    files = table_files(report_tables(results), forms)
+    return [str(write_atomically(place / name, text)) for name, text in files]
+
+
+def _methods(results: Sequence[Result]) -> str:
+    """A paragraph on the methods of each result."""
+    parts = (f"## {x.verb} ({x.folder.name})\n\n{methods_text(x.answer)}\n" for x in results)
+    return "\n".join(["# Methods\n", *parts])

@@ -15,6 +15,7 @@ from identknee.verbs.question import Question
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 @declared
@@ -80,9 +81,41 @@ class Answer:
         ValueError
             If the result has no figure, or none of that name; the message lists those it has.
         """
+        return self._printer.figure(self, name)
+
+    def to_dataframe(self, table: str | None = None) -> "DataFrame":
+        """A table of the result as a pandas ``DataFrame``, its columns with units.
+
+        Parameters
+        ----------
+        table
+            Which of its tables, such as ``"estimates"`` or ``"fitted-parameters"``; the first one
+            if None.
+
+        Raises
+        ------
+        ValueError
+            If the result has no table, or none of that name; the message lists those it has.
+        """
+        return self._printer.dataframe(self, table)
+
+    def methods(self) -> str:
+        """How the result was computed, as a paragraph for a paper with its references.
+
+        It says what the record of the result says, and nothing else.
+
+        Raises
+        ------
+        ValueError
+            If the result has no record, as one that no verb gave back.
+        """
+        return self._printer.methods(self)
+
+    @property
+    def _printer(self) -> Printer:
         if (shown_by := printer()) is None:
-            raise ValueError("nothing here draws; import identknee")
-        return shown_by.figure(self, name)
+            raise ValueError("nothing here shows answers; import identknee")
+        return shown_by
 
     @override
     def __repr__(self) -> str:

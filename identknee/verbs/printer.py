@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 class Printer(Protocol):
@@ -24,6 +25,12 @@ class Printer(Protocol):
 
     def figure(self, answer: Any, name: str | None) -> "Figure":
         """A figure of that name, or the most telling one."""
+
+    def dataframe(self, answer: Any, table: str | None) -> "DataFrame":
+        """A table of that name, or the first one."""
+
+    def methods(self, answer: Any) -> str:
+        """How the answer was computed, for a paper."""
 
 
 _given: list[Callable[[], Printer]] = []

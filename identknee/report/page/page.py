@@ -26,7 +26,8 @@ from identknee.report.presenter import (
     presenter_of,
     statements_of,
 )
-from identknee.report.tables import table
+from identknee.report.table_files import ESTIMATES, estimates_table, file_word, named, notes_of
+from identknee.report.tables import Table, table
 from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome, versions
@@ -60,8 +61,25 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     """
     shown = scenes or {}
     subjects = by_subject(results)
+    parts_by_name = []
+    for k, (name, x) in enumerate(subject_names(subjects).items()):
+        level = 2 if len(subjects) == 1 else 3
+        scene = shown.get(x.results[0].subject_digest)
+        parts_by_name.append((name, _subject_html(x, k + 1, level, scene)))
     titles = [x.title for x in subjects]
-    named = []
+    title = f"Knee report: {', '.join(dict.fromkeys(titles))}"
+    done = ", ".join(dict.fromkeys(x.verb for x in results))
+    days = sorted({str(x.record["started"])[:10] for x in results})
+    when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+    lead = f"From {done}, computed {when}. Every sentence links to its numbers."
+    maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
+    return document(title, parts().body(title, lead, parts_by_name, maker), has_viewer=bool(shown))
+
+
+def subject_names(subjects: Sequence[Findings]) -> dict[str, Findings]:
+    """The subjects by names that tell them apart."""
+    titles = [x.title for x in subjects]
+    found: dict[str, Findings] = {}
     for k, x in enumerate(subjects):
         name = x.title
         if titles.count(name) > 1:
@@ -71,16 +89,32 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
             stated_words = ", ".join(",".join(given).replace(" ", "").split(","))
             number = titles[: k + 1].count(name)
             name = f"{name} ({f'uncertain {stated_words}' if stated_words else f'number {number}'})"
-        level = 2 if len(subjects) == 1 else 3
-        scene = shown.get(x.results[0].subject_digest)
-        named.append((name, _subject_html(x, k + 1, level, scene)))
-    title = f"Knee report: {', '.join(dict.fromkeys(titles))}"
-    done = ", ".join(dict.fromkeys(x.verb for x in results))
-    days = sorted({str(x.record["started"])[:10] for x in results})
-    when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    lead = f"From {done}, computed {when}. Every sentence links to its numbers."
-    maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
-    return document(title, parts().body(title, lead, named, maker), has_viewer=bool(shown))
+        found[name] = x
+    return found
+
+
+def report_tables(results: Sequence[Result]) -> dict[str, tuple[Table, tuple[str, ...]]]:
+    """Every table of the page by the name of its file, with what its numbers rest on."""
+    found: dict[str, tuple[Table, tuple[str, ...]]] = {}
+    subjects = subject_names(by_subject(results))
+    for name, subject in subjects.items():
+        main = [x.answer for x in subject.of_main_data]
+        own = f"{file_word(name)}-" if len(subjects) > 1 else ""
+        seen = overview(main)
+        whole = {ESTIMATES: estimates_table(seen)}
+        # The sets hold on the proviso of the verdict.
+        verdict = (seen.verdict,) if seen.verdict else ()
+        fits = _fits_together(subject.merged.results)
+        if fits:
+            statement = _fits_statement([x.answer for x in fits])
+            whole |= {f"fits-{x}": y for x, y in named(statement.tables).items()}
+        found |= {f"{own}{x}": (y, (*verdict, *notes_of(main))) for x, y in whole.items() if y.rows}
+        for result in subject.merged.results:
+            said = (y for x in statements_of(result.answer) for y in x.tables)
+            notes = notes_of([result.answer])
+            for word, one in named(said).items():
+                found[f"{_file_start(result)}-{word}"] = (one, notes)
+    return found
 
 
 def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
@@ -90,9 +124,13 @@ def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
         shown = progress(findings.results, description="drawing figures")
         pairs = ((x, y) for x in shown for y in drawings(x))
         for result, drawing in chain(pairs, laxity_drawings(findings)):
-            folder = result.folder.name
-            beside = "" if folder == result.verb else f"{folder}-"
-            yield f"{beside}{result.verb}-{drawing.name}", drawing
+            yield f"{_file_start(result)}-{drawing.name}", drawing
+
+
+def _file_start(result: Result) -> str:
+    """What names of files of this result begin with: its verb, after its folder if that differs."""
+    folder = result.folder.name
+    return result.verb if folder == result.verb else f"{folder}-{result.verb}"
 
 
 def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene | None) -> Markup:
@@ -244,15 +282,7 @@ def _source(result: Result) -> str:
 def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
     """Statements of results: fits of one table side by side, shared assumptions once."""
     fits = of_type([x.answer for x in results], Calibration)
-    ended = [
-        x
-        for x in results
-        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
-    ]
-    # The table that most fits were made to is compared with all of them.
-    counts = Counter(x.data_digest for x in ended)
-    main, n = counts.most_common(1)[0] if counts else ("", 0)
-    together = [x for x in ended if x.data_digest == main] if n > 1 else []
+    together = _fits_together(results)
     sourced: list[Sourced] = []
     for result in results:
         # Of a fit that another beats no warning leads the page.
@@ -280,6 +310,18 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
             text = f"{capitalised(listed(owners))}: {text}"
         sourced.append((Statement(question=Question.KNOWN, sentence=text), listed(owners)))
     return sourced
+
+
+def _fits_together(results: Sequence[Result]) -> list[Result]:
+    """The fits that ended, of the table that most were made to; none where it is one."""
+    ended = [
+        x
+        for x in results
+        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
+    ]
+    counts = Counter(x.data_digest for x in ended)
+    main, n = counts.most_common(1)[0] if counts else ("", 0)
+    return [x for x in ended if x.data_digest == main] if n > 1 else []
 
 
 def _fits_statement(answers: Sequence[Answer]) -> Statement:
