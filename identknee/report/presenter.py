@@ -161,6 +161,7 @@ PRESENTERS = {
     "Diagnosis": "diagnose:DiagnosisPresenter",
     "Isolability": "isolability:IsolabilityPresenter",
     "Design": "design:DesignPresenter",
+    "Comparison": "compare:ComparisonPresenter",
     "SubjectFacts": "subject:SubjectPresenter",
     "ImportedSubject": "subject:ImportedSubjectPresenter",
     "SubjectCheck": "subject:SubjectCheckPresenter",

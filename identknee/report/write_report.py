@@ -82,7 +82,7 @@ def write_page(
     prepare_folder(page.parent)
     remarks: list[str] = []
     knees = {x.results[0].subject_digest: _knee(x, remarks, knee) for x in by_subject(results)}
-    drawn = [replace(x, knee=knees[x.subject_digest]) for x in results]
+    drawn = [replace(x, knee=knees.get(x.subject_digest)) for x in results]
     scenes = {
         digest: scene
         for x in by_subject(drawn)

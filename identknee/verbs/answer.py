@@ -114,7 +114,7 @@ class Answer:
     @property
     def _printer(self) -> Printer:
         if (shown_by := printer()) is None:
-            raise ValueError("nothing here shows answers; import identknee")
+            raise ValueError("nothing here draws or shows answers; import identknee")
         return shown_by
 
     @override

@@ -26,4 +26,6 @@ def test_all_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             assert result.exit_code == 0, (line, result.output)
     written = {x.name for x in (tmp_path / "results" / "tables").iterdir()}
     assert {"estimates.csv", "estimates.tex", "fit-fitted-parameters.md"} <= written
+    assert "compare" in (tmp_path / "results" / "report.html").read_text("utf-8")
+    assert (tmp_path / "results" / "both" / "parameters.png").is_file()
     assert "## profile" in (tmp_path / "results" / "methods.md").read_text("utf-8")
