@@ -53,7 +53,7 @@ register(
         module="identknee.report.side_by_side",
         answer="Comparison",
         answer_module="identknee.report.comparison",
-        summary="Set results side by side: parameters, forces, misfit, questions.",
+        summary="Set results side by side, and see what differs.",
         example="fit-intact fit-cut --name intact --name cut",
         is_reported=True,
         has_pictures=True,

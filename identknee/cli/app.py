@@ -68,6 +68,18 @@ Tables = Annotated[
     ),
 ]
 
+Data = Annotated[
+    Literal["csv"] | None,
+    typer.Option(help="With --figures: also write the numbers of each figure beside it."),
+]
+Width = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MM",
+        min=1.0,
+        help="With --figures: their width, such as 89 or 183 for one or two columns of a journal.",
+    ),
+]
 Methods = Annotated[
     bool,
     typer.Option(
@@ -81,6 +93,8 @@ def report(
     folder: Folder,
     out: File = None,
     figures: Figures = None,
+    data: Data = None,
+    width: Width = None,
     tables: Tables = None,
     methods: Methods = False,
     as_json: Json = False,
@@ -96,7 +110,17 @@ def report(
     from identknee.report.write_report import FIGURES, TABLES, write_report
 
     forms = forms_of(tables or "")
-    summary = write_report(folder, out or folder / PAGE, figures, forms, methods=methods)
+    if figures is None and (data or width):
+        raise ValueError("--data and --width are of figures; add --figures svg or --figures pdf")
+    summary = write_report(
+        folder,
+        out or folder / PAGE,
+        figures,
+        forms,
+        methods=methods,
+        data=data is not None,
+        width_mm=width,
+    )
     found = ", ".join(x["verb"] for x in summary["results"])
     lines = [f"Report on {found}: {summary['report']}", *summary["remarks"]]
     beside = Path(summary["report"]).parent

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from identknee.report.canvas import Figure
 from identknee.report.comparison import ComparedMisfit, ComparedQuantity
 from identknee.report.figures import COLOURS, MARKERS, SMALL, bare, legend_below
 from identknee.runs.words import label_without_unit, unit_of

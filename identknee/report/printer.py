@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from identknee.report.opening import opening_of
 from identknee.report.presenter import (
@@ -127,11 +127,11 @@ def html(answer: Answer) -> str:
     return answer_html(answer)
 
 
-def figure(answer: Answer, name: str | None) -> "Figure":
+def figure(answer: Answer, name: str | None, **where: Any) -> "Figure":
     """A figure of the answer; see `identknee.verbs.answer.Answer.plot`."""
     from identknee.report.notebook import answer_figure
 
-    return answer_figure(answer, name)
+    return answer_figure(answer, name, **where)
 
 
 def methods(answer: Answer) -> str:

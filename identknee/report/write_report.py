@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from identknee.report.figure_data import figure_data
+from identknee.report.figure_style import recolour, resize
 from identknee.report.figures import vector
 from identknee.report.methods import methods_text
 from identknee.report.notebook import result_of
@@ -30,10 +32,12 @@ def write_report(
     tables: Sequence[str] = (),
     *,
     methods: bool = False,
+    data: bool = False,
+    width_mm: float | None = None,
 ) -> dict[str, Any]:
     """What was found and written; the page is at `page`."""
     results = found_results(folder)
-    made = write_page(results, page, figures, tables)
+    made = write_page(results, page, figures, tables, data=data, width_mm=width_mm)
     if methods:
         made["methods"] = str(write_atomically(page.parent / METHODS, _methods(results)))
     return made
@@ -77,6 +81,9 @@ def write_page(
     figures: str | None = None,
     tables: Sequence[str] = (),
     knee: Knee | None = None,
+    *,
+    data: bool = False,
+    width_mm: float | None = None,
 ) -> dict[str, Any]:
     """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
@@ -93,7 +100,9 @@ def write_page(
     return {
         "report": str(page),
         "results": [{"verb": x.verb, "folder": str(x.folder)} for x in results],
-        "figures": [] if figures is None else _write_figures(drawn, page.parent, figures),
+        "figures": []
+        if figures is None
+        else _write_figures(drawn, page.parent, figures, data=data, width_mm=width_mm),
         "tables": _write_tables(results, page.parent, tables) if tables else [],
         "remarks": remarks,
     }
@@ -114,12 +123,23 @@ def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | N
         return None
 
 
-def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[str]:
-    place = prepare_folder(folder / FIGURES)
-    return [
-        str(write_atomically(place / f"{name}.{form}", vector(drawing.figure, form)))
-        for name, drawing in progress(report_drawings(results), description="drawing figures")
-    ]
+def _write_figures(
+    results: Sequence[Result], folder: Path, form: str, *, data: bool, width_mm: float | None
+) -> list[str]:
+    """The figures, each with a CSV of its numbers beside it if asked for."""
+    place, written = prepare_folder(folder / FIGURES), []
+    for name, drawing in progress(report_drawings(results), description="drawing figures"):
+        if data:
+            write_atomically(place / f"{name}.csv", figure_data(drawing.figure))
+        if width_mm is not None:
+            try:
+                resize(drawing.figure, width_mm)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+        recolour(drawing.figure)
+        file = write_atomically(place / f"{name}.{form}", vector(drawing.figure, form))
+        written.append(str(file))
+    return written
 
 
 def _write_tables(results: Sequence[Result], folder: Path, forms: Sequence[str]) -> list[str]:

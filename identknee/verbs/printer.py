@@ -23,7 +23,7 @@ class Printer(Protocol):
     def html(self, answer: Any) -> str:
         """What a notebook shows."""
 
-    def figure(self, answer: Any, name: str | None) -> "Figure":
+    def figure(self, answer: Any, name: str | None, **where: Any) -> "Figure":
         """A figure of that name, or the most telling one."""
 
     def dataframe(self, answer: Any, table: str | None) -> "DataFrame":

@@ -28,4 +28,7 @@ def test_all_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert {"estimates.csv", "estimates.tex", "fit-fitted-parameters.md"} <= written
     assert "compare" in (tmp_path / "results" / "report.html").read_text("utf-8")
     assert (tmp_path / "results" / "both" / "parameters.png").is_file()
+    figures = {x.name for x in (tmp_path / "results" / "fit" / "figures").iterdir()}
+    assert {"fit-laxity.svg", "fit-laxity.csv"} <= figures
+    assert "<text" in (tmp_path / "intervals.svg").read_text("utf-8")
     assert "## profile" in (tmp_path / "results" / "methods.md").read_text("utf-8")
