@@ -132,7 +132,8 @@ class ComparisonPresenter(Presenter[Comparison]):
                 f" Their 95 % sets of {listed_first(apart, MOST_NAMED)} have no value in common."
             )
         elif sets:
-            text += f" All 95 % sets of {len(sets)} parameters overlap."
+            which = "one parameter" if len(sets) == 1 else f"{len(sets)} parameters"
+            text += f" All 95 % sets of {which} overlap."
         else:
             text += f" {NO_SETS}"
         text += "".join(f" {x}" for x in _doubts(answer))

@@ -67,6 +67,13 @@ def test_sets_are_set_side_by_side_under_the_names_given(folders: Path) -> None:
     assert own["upper end"].tolist() == [acl.stands[1].upper]
 
 
+def test_sets_that_overlap_are_not_apart(folders: Path) -> None:
+    made = compared(folders, "profile-intact", "profile-intact", names=["a", "b"])
+    assert not any(x.is_apart for x in made.parameters)
+    assert "All 95 % sets of one parameter overlap" in said(made)
+    assert "apart" not in str(made)
+
+
 def test_what_was_held_is_a_value_without_a_set(folders: Path) -> None:
     made = compared(folders, "fit-intact", "fit-torn")
     held = [x for x in made.parameters if x.name in HELD]
