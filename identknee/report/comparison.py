@@ -26,6 +26,7 @@ from identknee.verbs.fit import Calibration
 from identknee.verbs.question import IN_WORDS, Question
 from identknee.verbs.registry import verbs_with_answer
 from identknee.verbs.sample import Sample
+from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
 # A misfit compares between answers that differ in none of these.
 OF_MISFIT = frozenset({"trials", "weighting", "noise_mm", "noise_deg"})
@@ -39,7 +40,7 @@ IN_QUESTION = frozenset(
 )
 # Terms that are no measured values.
 NO_DATA = frozenset({LIGAMENT_TERM, NUISANCE_TERM, PLAUSIBILITY_TERM})
-POINT, NO_INTERVAL = "fit", "no interval"
+POINT, SIMULATED, NO_INTERVAL = "fit", "simulated with", "no interval"
 FIXED = "held"
 
 
@@ -253,7 +254,7 @@ def _points(name: str, answers: Sequence[Answer]) -> dict[str, Stand]:
     errors = {x.name for x in best.nuisances}
     fixed = () if best.question is None else best.question.fixed
     values = {x: y for x, y in (best.parameter_set or {}).items() if x not in errors}
-    if isinstance(best, Calibration):
+    if isinstance(best, SimulatedLaxity):
         for trial, tensions in zip(best.protocol.trials, best.tension_N.tolist(), strict=True):
             own = zip(best.ligaments, tensions, strict=True)
             values |= {f"{ligament}{FORCE}{trial}": x for ligament, x in own if np.isfinite(x)}
@@ -263,7 +264,7 @@ def _points(name: str, answers: Sequence[Answer]) -> dict[str, Stand]:
             estimate=float(value),
             lower=None,
             upper=None,
-            method=POINT,
+            method=SIMULATED if isinstance(best, Simulation) else POINT,
             status=FIXED if quantity in fixed else NO_INTERVAL,
         )
         for quantity, value in values.items()
@@ -322,7 +323,7 @@ def _misfit(name: str, answers: Sequence[Answer]) -> ComparedMisfit:
         rmse_mm=mm,
         rmse_deg=deg,
         terms=best.evidence if np.isfinite(best.best_deviance) else (),
-        n_fitted=None if values is None else len(set(values) - held),
+        n_fitted=len(set(values) - held) if values is not None and best.evidence else None,
         log_evidence=evidences[-1] if evidences else None,
     )
 

@@ -14,7 +14,7 @@ from identknee.verbs.registry import verb_named
 
 DIGITS = 12  # of a digest
 # Options that change no number, or that the subject and the data of the sentence stand for.
-UNSAID = frozenset({"subject", "data", "out", "workers"})
+UNSAID = frozenset({"subject", "data", "results", "out", "workers"})
 MOST_TRIALS = 4
 SOFTWARE = (
     "identknee: how far can a knee ligament calibration be trusted? The identknee developers, "
@@ -136,7 +136,7 @@ def _uncertainty(answer: Answer) -> Iterator[str]:
 def _call(record: Record) -> str:
     """The call with all options that are not as they are by default."""
     words = ["identknee", *record.verb.split()]
-    for name in ("subject", "data"):
+    for name in ("subject", "data", "results"):
         given = record.settings.get(name)
         listed_words = [given] if isinstance(given, str) else given or []
         words += [_last_part(x) for x in listed_words]

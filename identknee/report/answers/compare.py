@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
+from identknee.checks.fit_checks import SAME
 from identknee.report.comparison import ComparedQuantity, Comparison, compared_values
 from identknee.report.presenter import Drawing, Presenter, Statement
 from identknee.report.tables import Table, table
@@ -80,6 +81,8 @@ def _misfit_sentence(answer: Comparison) -> str:
     if len(deviances) < 2:
         return "Data and noise are the same, but fewer than two results have a deviance."
     lowest = min(deviances, key=lambda x: deviances[x])
+    if max(deviances.values()) - deviances[lowest] <= SAME:
+        return f"Of the same data and noise, {listed(deviances)} leave the same deviance."
     others = [
         f"{name} by {value - deviances[lowest]:.3g}"
         for name, value in deviances.items()

@@ -121,6 +121,23 @@ def test_misfit_compares_of_the_same_data_and_noise_alone(folders: Path) -> None
     assert "not known" in unknown.why_not
 
 
+def test_the_same_deviance_is_called_so_and_a_simulation_fits_nothing(folders: Path) -> None:
+    made = compared(folders, "fit-intact", "profile-intact")
+    assert "fit-intact and profile-intact leave the same deviance" in said(made)
+    knee = ik.reference_knee()
+    two = {str(x): ik.simulate(knee, "drawer", {ACL: x}) for x in (10.0, 2.0)}
+    simulated = ik.compare(two)
+    assert [x.n_fitted for x in simulated.misfits] == [None, None]
+    (acl,) = [x for x in simulated.parameters if x.name == ACL]
+    assert [(x.estimate, x.method) for x in acl.stands] == [
+        (10.0, "simulated with"),
+        (2.0, "simulated with"),
+    ]
+    tensions = [x.tension_N for x in two.values()]
+    assert simulated.forces[0].spread == pytest.approx(np.max(np.abs(tensions[0] - tensions[1])))
+    assert simulated.why_not == "there are no data"
+
+
 def test_what_differs_beside_the_numbers_is_listed(folders: Path) -> None:
     fitted = ik.load(folders / "fit-intact")
     assert fitted.record is not None
