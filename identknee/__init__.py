@@ -6,7 +6,7 @@ Simulate, calibrate  simulate, fit, sweep
 What is known        profile, sample, information, equivalents, sensitivity
 What is wrong        diagnose, isolability
 What to test next    design
-See and keep it      report, scene, scene_3d, load, write_laxity, write_subject
+See and keep it      compare, report, scene, scene_3d, load, write_laxity, write_subject
 
     import identknee as ik
     knee = ik.reference_knee()
@@ -45,6 +45,19 @@ register(
         summary="Make laxity data with a hidden effect, to test a diagnosis.",
         example="reference --seed 7 --effect random --out blind7",
         folder="identknee-blind",
+    )
+)
+register(
+    Verb(
+        name="compare",
+        module="identknee.report.side_by_side",
+        answer="Comparison",
+        answer_module="identknee.report.comparison",
+        summary="Set results side by side, and see what differs.",
+        example="fit-intact fit-cut --name intact --name cut",
+        is_reported=True,
+        has_pictures=True,
+        then="Next: identknee report {out}",
     )
 )
 register(

@@ -59,9 +59,45 @@ Figures = Annotated[
     ),
 ]
 
+Tables = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FORM,...",
+        help="Also write every table, to the folder tables beside the page: csv, latex or "
+        "markdown, or several, as in csv,latex.",
+    ),
+]
+
+Data = Annotated[
+    Literal["csv"] | None,
+    typer.Option(help="With --figures: also write the numbers of each figure beside it."),
+]
+Width = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MM",
+        min=1.0,
+        help="With --figures: their width, such as 89 or 183 for one or two columns of a journal.",
+    ),
+]
+Methods = Annotated[
+    bool,
+    typer.Option(
+        "--methods",
+        help="Also write methods.md: how each result was computed, as a paragraph for a paper.",
+    ),
+]
+
 
 def report(
-    folder: Folder, out: File = None, figures: Figures = None, as_json: Json = False
+    folder: Folder,
+    out: File = None,
+    figures: Figures = None,
+    data: Data = None,
+    width: Width = None,
+    tables: Tables = None,
+    methods: Methods = False,
+    as_json: Json = False,
 ) -> None:
     """Write the results in DIR as one page that works offline.
 
@@ -70,15 +106,30 @@ def report(
     in DIR and in the folders in it, subject by subject.
     """
     # This loads xarray and matplotlib, which takes longer than most mistakes.
-    from identknee.report.write_report import FIGURES, write_report
+    from identknee.report.table_files import forms_of
+    from identknee.report.write_report import FIGURES, TABLES, write_report
 
-    summary = write_report(folder, out or folder / PAGE, figures)
+    forms = forms_of(tables or "")
+    if figures is None and (data or width):
+        raise ValueError("--data and --width are of figures; add --figures svg or --figures pdf")
+    summary = write_report(
+        folder,
+        out or folder / PAGE,
+        figures,
+        forms,
+        methods=methods,
+        data=data is not None,
+        width_mm=width,
+    )
     found = ", ".join(x["verb"] for x in summary["results"])
     lines = [f"Report on {found}: {summary['report']}", *summary["remarks"]]
+    beside = Path(summary["report"]).parent
     if figures is not None:
-        lines.append(
-            f"{len(summary['figures'])} figures: {Path(summary['report']).parent / FIGURES}"
-        )
+        lines.append(f"{len(summary['figures'])} figures: {beside / FIGURES}")
+    if forms:
+        lines.append(f"{len(summary['tables'])} files of tables: {beside / TABLES}")
+    if methods:
+        lines.append(f"Methods: {summary['methods']}")
     show(summary, lines, as_json=as_json)
 
 

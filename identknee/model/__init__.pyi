@@ -9,6 +9,7 @@ from .line_loads import strains_of as strains_of
 from .line_loads import tensions_of as tensions_of
 from .parameters import STIFFNESS as STIFFNESS
 from .parameters import STRAIN as STRAIN
+from .parameters import Parameters as Parameters
 from .prediction import Prediction as Prediction
 from .quantities import LaxityOutputs as LaxityOutputs
 from .quantities import PredictedQuantity as PredictedQuantity

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.trial_words import UNLOADED, loads_words
+from identknee.report.canvas import Figure
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES, bare
 from identknee.runs.arrays import Array
 

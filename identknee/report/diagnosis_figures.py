@@ -5,7 +5,6 @@ from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
@@ -20,6 +19,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import load_label, series_words
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
+from identknee.report.canvas import Figure
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare, legend_below
 from identknee.report.scene import View
 from identknee.runs.arrays import Array

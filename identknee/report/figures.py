@@ -14,8 +14,9 @@ from typing import Any, Literal
 import matplotlib as mpl
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.text import Text
+
+from identknee.report.canvas import AS_TEXT, Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -105,7 +106,7 @@ def vector(figure: Figure, form: str) -> bytes:
     buffer = io.BytesIO()
     with (
         without_mathtext(figure),
-        mpl.rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "svg.hashsalt": "identknee"}),
+        mpl.rc_context({**AS_TEXT, "svg.hashsalt": "identknee"}),
     ):
         figure.savefig(
             buffer, format=form, metadata={"Date" if form == "svg" else "CreationDate": None}

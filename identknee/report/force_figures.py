@@ -1,9 +1,9 @@
 """Figures of measured forces beside those predicted."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from identknee.checks.compared_forces import ComparedForces
+from identknee.report.canvas import Figure
 from identknee.report.figures import BLACK, COLOURS, SMALL, bare, legend_below
 from identknee.runs.words import label
 

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from identknee.checks.data_noise import Curve, load_curves
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import series_words
+from identknee.report.canvas import Figure
 from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES, bare, legend_below
 from identknee.runs.arrays import Array, frozen
 from identknee.runs.declare import declared, entry

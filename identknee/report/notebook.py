@@ -1,6 +1,7 @@
 """Answers outside the report: in a notebook, and the knee in three dimensions as a page."""
 
 from base64 import b64encode
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,12 +11,14 @@ from matplotlib.figure import Figure
 from identknee.calibrate.fit import load_start
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.model.laxity_model import model_for_tests
+from identknee.report.canvas import Place, SeveralPanelsError, drawn_on
+from identknee.report.figure_style import recolour, resize
 from identknee.report.figures import png, show_figures
 from identknee.report.opening import opening_of
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import Findings, Result, drawings, laxity_drawings
+from identknee.report.page.results import Findings, Result, laxity_drawings
 from identknee.report.page.viewer import model_scene, scene_of, viewer_html
-from identknee.report.presenter import Drawing, main_statements, statements_of
+from identknee.report.presenter import Drawing, main_statements, presenter_of, statements_of
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import finding_lines
 from identknee.runs.record import record
@@ -61,21 +64,57 @@ def answer_html(answer: Answer) -> str:
     )
 
 
-def answer_figure(answer: Answer, name: str | None = None) -> Figure:
+def answer_figure(
+    answer: Answer,
+    name: str | None = None,
+    *,
+    ax: Place | None = None,
+    width_mm: float | None = None,
+) -> Figure:
     """A figure of the answer; see `Answer.plot`."""
+    if ax is not None and width_mm is not None:
+        raise ValueError("width_mm is the width of a whole figure; leave it out where ax is given")
     known = {x.name: x for x in _drawings(answer)}
     if not known:
         raise ValueError(f"{type(answer).__name__} has no figure; print it to see its table")
     if name is not None and name not in known:
         raise ValueError(f"there is no figure {name!r}; choose from {', '.join(known)}")
     show_figures()
-    return known[name or next(iter(known))].figure
+    name = name or next(iter(known))
+    figure = known[name].figure
+    if ax is not None:
+        figure = _drawn_there(answer, name, ax, list(known).index(name))
+    if width_mm is not None:
+        resize(figure, width_mm)
+    recolour(figure)
+    return figure
+
+
+def _drawn_there(answer: Answer, name: str, place: Place, wanted: int) -> Figure:
+    """The figure that the place belongs to, with one of the answer's drawn there."""
+    made = _each_drawing(answer)
+    for _ in range(wanted):
+        next(made)
+    try:
+        with drawn_on(place):
+            next(made)
+    except SeveralPanelsError as error:
+        raise ValueError(f"figure {name!r} cannot be drawn there: {error}") from None
+    whole = place.get_figure(root=True)
+    assert whole is not None
+    return whole
 
 
 def _drawings(answer: Answer) -> tuple[Drawing, ...]:
+    return tuple(_each_drawing(answer))
+
+
+def _each_drawing(answer: Answer) -> Iterator[Drawing]:
     result = result_of(answer)
     findings = Findings(subject=result.subject, results=(result,))
-    return (*drawings(result), *(x for _, x in laxity_drawings(findings)))
+    shows = presenter_of(answer)
+    yield from shows.drawings(answer, result.subject, result.knee)
+    yield from (x for _, x in laxity_drawings(findings))
 
 
 HEIGHT = "720"

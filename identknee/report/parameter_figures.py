@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
@@ -14,6 +13,7 @@ from scipy.stats import gaussian_kde
 
 from identknee.identify.information import Information
 from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
+from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     COLOURS,

@@ -1,9 +1,9 @@
 """Figure of what a fit has at each limit of plausibility, with the limits and without them."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from identknee.checks.limit_price import PlausibilityPrice
+from identknee.report.canvas import Figure
 from identknee.report.figures import BLACK, COLOURS, SMALL, bare, legend_below
 
 GREY = "0.85"

@@ -161,6 +161,7 @@ PRESENTERS = {
     "Diagnosis": "diagnose:DiagnosisPresenter",
     "Isolability": "isolability:IsolabilityPresenter",
     "Design": "design:DesignPresenter",
+    "Comparison": "compare:ComparisonPresenter",
     "SubjectFacts": "subject:SubjectPresenter",
     "ImportedSubject": "subject:ImportedSubjectPresenter",
     "SubjectCheck": "subject:SubjectCheckPresenter",
@@ -236,9 +237,30 @@ class Presenter(Generic[Given]):
         """Ends of a missing line of action in the common frame [mm]; None if there is none."""
         return None
 
+    def method(self, _answer: Given) -> Iterator[str]:
+        """How it was computed, as sentences for a paper that say no more than its record."""
+        yield from ()
+
+    def sources(self, _answer: Given) -> tuple[str, ...]:
+        """What a paper that uses the answer should cite for its method."""
+        return ()
+
     def joined(self, _first: Given, _later: Given) -> Given | None:
         """Two answers from the same data as one; None if they stand side by side."""
         return None
+
+
+BOX = "Box (1965), Comput. J. 8(1), 42-52, doi:10.1093/comjnl/8.1.42"
+
+
+def settings_of(answer: Answer) -> Mapping[str, Any]:
+    """The settings of the call that made the answer; none where its record is not known."""
+    return {} if answer.record is None else answer.record.settings
+
+
+def optimizer_sources(method: str) -> tuple[str, ...]:
+    """What to cite for an optimizer."""
+    return (BOX,) if method == "complex" else ()
 
 
 def presenter_of(answer: Answer) -> Presenter[Any]:

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from identknee.report.opening import opening_of
 from identknee.report.presenter import (
@@ -25,6 +25,7 @@ from identknee.verbs.answer import Answer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 WIDTH, MOST_LINES = 100, 25
 # Findings that a command prints, and the length of a sentence that is printed as it is.
@@ -126,8 +127,27 @@ def html(answer: Answer) -> str:
     return answer_html(answer)
 
 
-def figure(answer: Answer, name: str | None) -> "Figure":
+def figure(answer: Answer, name: str | None, **where: Any) -> "Figure":
     """A figure of the answer; see `identknee.verbs.answer.Answer.plot`."""
     from identknee.report.notebook import answer_figure
 
-    return answer_figure(answer, name)
+    return answer_figure(answer, name, **where)
+
+
+def methods(answer: Answer) -> str:
+    """How the answer was computed; see `identknee.verbs.answer.Answer.methods`."""
+    from identknee.report.methods import methods_text
+
+    return methods_text(answer)
+
+
+def dataframe(answer: Answer, name: str | None) -> "DataFrame":
+    """A table of the answer; see `identknee.verbs.answer.Answer.to_dataframe`."""
+    from identknee.report.table_files import tables_of
+
+    known = tables_of(answer)
+    if not known:
+        raise ValueError(f"{type(answer).__name__} has no table; print it to see what it says")
+    if name is not None and name not in known:
+        raise ValueError(f"there is no table {name!r}; choose from {', '.join(known)}")
+    return known[name or next(iter(known))].dataframe()

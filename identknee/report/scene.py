@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.pose import Placement, place, start_pose
+from identknee.report.canvas import Figure
 from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import declared, entry

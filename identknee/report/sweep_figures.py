@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
+from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     COLOURS,

@@ -1,11 +1,15 @@
 """Results as tables: rows of text and numbers, each column with its unit."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import override
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Cell = str | float | int | None
 # That a notebook shows.
@@ -69,6 +73,17 @@ class Table:
                     f"every row of {self.title!r} needs {len(self.columns)} cells, got {len(row)}"
                 )
 
+    @property
+    def name(self) -> str:
+        """Its name in files and calls: the words of its title up to the first mark.
+
+        Examples
+        --------
+        >>> table("95 % intervals of stiffness (3 rows)", ["name"], []).name
+        'intervals-of-stiffness'
+        """
+        return "-".join(re.findall(r"[a-z]+", re.split(r"[:,(]", self.title)[0].lower()))
+
     def first_rows(self, most: int = MOST_ROWS) -> "Table":
         """The first rows, with how many there are."""
         n = len(self.rows)
@@ -100,9 +115,17 @@ class Table:
     def markdown(self) -> str:
         """The table as Markdown, its title above it in bold."""
         heads = [column.head for column in self.columns]
-        rule = ["---" if self._is_text(i) else "---:" for i in range(len(heads))]
-        lines = ["| " + " | ".join(row) + " |" for row in (heads, rule, *self.texts())]
+        rule = ["---" if self.is_text(i) else "---:" for i in range(len(heads))]
+        rows = [[cell.replace("|", "\\|") for cell in row] for row in (heads, *self.texts())]
+        lines = ["| " + " | ".join(row) + " |" for row in (rows[0], rule, *rows[1:])]
         return "\n".join([f"**{self.title}**", "", *lines])
+
+    def dataframe(self) -> "DataFrame":
+        """The cells as numbers and texts, under heads with units; what is not known is NaN."""
+        import pandas as pd
+
+        heads = [column.head for column in self.columns]
+        return pd.DataFrame([list(row) for row in self.rows], columns=heads)
 
     @override
     def __str__(self) -> str:
@@ -113,7 +136,7 @@ class Table:
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.columns))]
         lines = [
             "  ".join(
-                cell.ljust(width) if self._is_text(i) else cell.rjust(width)
+                cell.ljust(width) if self.is_text(i) else cell.rjust(width)
                 for i, (cell, width) in enumerate(zip(row, widths, strict=True))
             ).rstrip()
             for row in rows
@@ -122,7 +145,8 @@ class Table:
         more = [f"and {left} more rows, which the report shows"] if left else []
         return "\n".join([self.title, *lines, *more])
 
-    def _is_text(self, i: int) -> bool:
+    def is_text(self, i: int) -> bool:
+        """Whether a column has text, which stands at its left."""
         return i == 0 or any(isinstance(row[i], str) for row in self.rows)
 
 

@@ -6,11 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from identknee.report.figure_data import figure_data
+from identknee.report.figure_style import recolour, resize
 from identknee.report.figures import vector
+from identknee.report.methods import methods_text
 from identknee.report.notebook import result_of
-from identknee.report.page.page import report_drawings, report_html
+from identknee.report.page.page import report_drawings, report_html, report_tables
 from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
 from identknee.report.page.viewer import scene_of
+from identknee.report.table_files import table_files
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress
 from identknee.subject.folder import read_subject
@@ -18,12 +22,25 @@ from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 
-FIGURES = "figures"
+FIGURES, TABLES, METHODS = "figures", "tables", "methods.md"
 
 
-def write_report(folder: Path, page: Path, figures: str | None = None) -> dict[str, Any]:
+def write_report(
+    folder: Path,
+    page: Path,
+    figures: str | None = None,
+    tables: Sequence[str] = (),
+    *,
+    methods: bool = False,
+    data: bool = False,
+    width_mm: float | None = None,
+) -> dict[str, Any]:
     """What was found and written; the page is at `page`."""
-    return write_page(found_results(folder), page, figures)
+    results = found_results(folder)
+    made = write_page(results, page, figures, tables, data=data, width_mm=width_mm)
+    if methods:
+        made["methods"] = str(write_atomically(page.parent / METHODS, _methods(results)))
+    return made
 
 
 def report_on(
@@ -59,13 +76,20 @@ def report_on(
 
 
 def write_page(
-    results: Sequence[Result], page: Path, figures: str | None = None, knee: Knee | None = None
+    results: Sequence[Result],
+    page: Path,
+    figures: str | None = None,
+    tables: Sequence[str] = (),
+    knee: Knee | None = None,
+    *,
+    data: bool = False,
+    width_mm: float | None = None,
 ) -> dict[str, Any]:
     """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
     remarks: list[str] = []
     knees = {x.results[0].subject_digest: _knee(x, remarks, knee) for x in by_subject(results)}
-    drawn = [replace(x, knee=knees[x.subject_digest]) for x in results]
+    drawn = [replace(x, knee=knees.get(x.subject_digest)) for x in results]
     scenes = {
         digest: scene
         for x in by_subject(drawn)
@@ -76,7 +100,10 @@ def write_page(
     return {
         "report": str(page),
         "results": [{"verb": x.verb, "folder": str(x.folder)} for x in results],
-        "figures": [] if figures is None else _write_figures(drawn, page.parent, figures),
+        "figures": []
+        if figures is None
+        else _write_figures(drawn, page.parent, figures, data=data, width_mm=width_mm),
+        "tables": _write_tables(results, page.parent, tables) if tables else [],
         "remarks": remarks,
     }
 
@@ -96,9 +123,32 @@ def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | N
         return None
 
 
-def _write_figures(results: Sequence[Result], folder: Path, form: str) -> list[str]:
-    place = prepare_folder(folder / FIGURES)
-    return [
-        str(write_atomically(place / f"{name}.{form}", vector(drawing.figure, form)))
-        for name, drawing in progress(report_drawings(results), description="drawing figures")
-    ]
+def _write_figures(
+    results: Sequence[Result], folder: Path, form: str, *, data: bool, width_mm: float | None
+) -> list[str]:
+    """The figures, each with a CSV of its numbers beside it if asked for."""
+    place, written = prepare_folder(folder / FIGURES), []
+    for name, drawing in progress(report_drawings(results), description="drawing figures"):
+        if data:
+            write_atomically(place / f"{name}.csv", figure_data(drawing.figure))
+        if width_mm is not None:
+            try:
+                resize(drawing.figure, width_mm)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+        recolour(drawing.figure)
+        file = write_atomically(place / f"{name}.{form}", vector(drawing.figure, form))
+        written.append(str(file))
+    return written
+
+
+def _write_tables(results: Sequence[Result], folder: Path, forms: Sequence[str]) -> list[str]:
+    place = prepare_folder(folder / TABLES)
+    files = table_files(report_tables(results), forms)
+    return [str(write_atomically(place / name, text)) for name, text in files]
+
+
+def _methods(results: Sequence[Result]) -> str:
+    """A paragraph on the methods of each result."""
+    parts = (f"## {x.verb} ({x.folder.name})\n\n{methods_text(x.answer)}\n" for x in results)
+    return "\n".join(["# Methods\n", *parts])

@@ -14,7 +14,9 @@ from identknee.verbs.printer import Printer, printer
 from identknee.verbs.question import Question
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, FigureBase
+    from pandas import DataFrame
 
 
 @declared
@@ -67,22 +69,69 @@ class Answer:
         """The parameters found or simulated with, by name; None if the answer holds no one set."""
         return None
 
-    def plot(self, name: str | None = None) -> "Figure":
+    def plot(
+        self,
+        name: str | None = None,
+        *,
+        ax: "Axes | FigureBase | None" = None,
+        width_mm: float | None = None,
+    ) -> "Figure":
         """A figure of the result, which a notebook shows as a picture.
+
+        Colours and letters are those of the matplotlib style in use. In SVG and PDF text stays
+        text.
 
         Parameters
         ----------
         name
             Which of its figures, such as ``"profiles"``; the most telling one if None.
+        ax
+            Where to draw it: axes, for figures of one panel, or a subfigure; a figure of its own
+            if None.
+        width_mm
+            Width of the figure, such as 89 or 183 for one or two columns of a journal.
 
         Raises
         ------
         ValueError
-            If the result has no figure, or none of that name; the message lists those it has.
+            If the result has no figure, or none of that name; the message lists those it has. If
+            it has several panels and `ax` is one, or its texts do not fit into the width.
         """
+        return self._printer.figure(self, name, ax=ax, width_mm=width_mm)
+
+    def to_dataframe(self, table: str | None = None) -> "DataFrame":
+        """A table of the result as a pandas ``DataFrame``, its columns with units.
+
+        Parameters
+        ----------
+        table
+            Which of its tables, such as ``"estimates"`` or ``"fitted-parameters"``; the first one
+            if None.
+
+        Raises
+        ------
+        ValueError
+            If the result has no table, or none of that name; the message lists those it has.
+        """
+        return self._printer.dataframe(self, table)
+
+    def methods(self) -> str:
+        """How the result was computed, as a paragraph for a paper with its references.
+
+        It says what the record of the result says, and nothing else.
+
+        Raises
+        ------
+        ValueError
+            If the result has no record, as one that no verb gave back.
+        """
+        return self._printer.methods(self)
+
+    @property
+    def _printer(self) -> Printer:
         if (shown_by := printer()) is None:
-            raise ValueError("nothing here draws; import identknee")
-        return shown_by.figure(self, name)
+            raise ValueError("nothing here draws or shows answers; import identknee")
+        return shown_by
 
     @override
     def __repr__(self) -> str:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
 class Printer(Protocol):
@@ -22,8 +23,14 @@ class Printer(Protocol):
     def html(self, answer: Any) -> str:
         """What a notebook shows."""
 
-    def figure(self, answer: Any, name: str | None) -> "Figure":
+    def figure(self, answer: Any, name: str | None, **where: Any) -> "Figure":
         """A figure of that name, or the most telling one."""
+
+    def dataframe(self, answer: Any, table: str | None) -> "DataFrame":
+        """A table of that name, or the first one."""
+
+    def methods(self, answer: Any) -> str:
+        """How the answer was computed, for a paper."""
 
 
 _given: list[Callable[[], Printer]] = []

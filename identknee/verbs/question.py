@@ -69,6 +69,26 @@ class Question:
             if not _is_alike(getattr(self, name), getattr(other, name))
         )
 
+    @property
+    def words(self) -> dict[str, str]:
+        """What was asked in words, part by part as `differences` names them."""
+        sizes = ((self.noise_mm, "mm"), (self.noise_deg, "deg"))
+        mm, deg = ("not stated" if x is None else f"{x:.3g} {unit}" for x, unit in sizes)
+        bounds = [f"{name} {low:g} to {high:g}" for name, (low, high) in self.bounds.items()]
+        uncertain = [f"{name} {x}" for name, x in self.uncertainty.items() if x != "exact"]
+        left = len(self.left_out_by_name) + len(self.contradicted)
+        return {
+            IN_WORDS["trials"]: f"{len(self.trials)}{f', {left} left out' if left else ''}",
+            IN_WORDS["weighting"]: self.weighting,
+            IN_WORDS["noise_mm"]: mm,
+            IN_WORDS["noise_deg"]: deg,
+            IN_WORDS["priors"]: "yes" if self.priors else "no",
+            IN_WORDS["fixed"]: ", ".join(self.fixed) or "none",
+            IN_WORDS["bounds"]: ", ".join(bounds) or "as usual",
+            IN_WORDS["uncertainty"]: ", ".join(uncertain) or "none",
+            IN_WORDS["plausibility"]: ", ".join(self.plausibility) or "none",
+        }
+
 
 def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, Any]) -> Question:
     """The question that the arguments of a verb ask of a knee and of trials."""

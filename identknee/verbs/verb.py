@@ -69,6 +69,8 @@ WORK = "work.sqlite"
 # What cannot change a number; everything else decides whether stored work may be resumed. Of
 # subject and data the content decides, whatever they are called and wherever they stand.
 NOT_DECIDING = frozenset({"out", "workers", "subject", "data"})
+# The argument of a verb that takes results in place of a knee.
+RESULTS = "results"
 BESIDE, RECORDED = "__not_deciding__", "__recorded_as__"
 # Files that a name is read from, and what a folder of results is known by.
 TOML = ".toml"
@@ -282,6 +284,7 @@ def _run(
     if laxity is None and _needs_data(function):
         raise ValueError("there are no data; give a laxity table")
     subject = arguments.get("subject", options.REFERENCE)
+    of_results = arguments.get(RESULTS)
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
@@ -298,6 +301,9 @@ def _run(
             raise ValueError("--keep and --leave-out name trials of DATA.csv; give it")
     read = {k: x for k, x in (("subject", knee), ("data", laxity)) if k in arguments}
     inputs = _inputs(arguments, knee, given, data)
+    if of_results is not None:
+        # A verb of results is of their knees.
+        inputs = result_digests(of_results)
     settings = {key: _setting(x) for key, x in arguments.items()}
     recorded = {key: x for key, x in settings.items() if key not in secret}
     recording = record(name, recorded, inputs, arguments.get("seed"))
@@ -355,6 +361,20 @@ def _inputs(
     return inputs | {k: digest(path) for k, path in read.items()}
 
 
+def result_digests(results: Sequence[Any] | Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of every file of results in the folders given, by their place."""
+    given = results.values() if isinstance(results, Mapping) else results
+    folders = {k: x for k, x in enumerate(given, 1) if isinstance(x, str | Path)}
+    return {
+        f"{RESULTS} {k}": digest(b"".join(x.read_bytes() for x in _summaries(Path(folder))))
+        for k, folder in folders.items()
+    }
+
+
+def _summaries(folder: Path) -> list[Path]:
+    return [folder] if folder.is_file() else sorted(folder.rglob(SUMMARY))
+
+
 def _file_of(value: Any) -> Path | None:
     """The file that an argument is read from; of a folder of results, that with its digests."""
     if isinstance(value, Path) and value.is_dir():
@@ -392,8 +412,11 @@ def _setting(value: Any) -> Any:
         return f"a {type(value).__name__} in memory"
     if isinstance(value, _NAMED):
         return value.name
-    if isinstance(value, list | tuple) and any(isinstance(x, (*_NAMED, Laxity)) for x in value):
+    kept = (*_NAMED, Laxity, Answer)
+    if isinstance(value, list | tuple) and any(isinstance(x, kept) for x in value):
         return [_setting(x) for x in value]
+    if isinstance(value, Mapping) and any(isinstance(x, kept) for x in value.values()):
+        return {name: _setting(x) for name, x in value.items()}
     return "a table in memory" if isinstance(value, Laxity) else value
 
 

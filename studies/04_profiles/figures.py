@@ -48,7 +48,7 @@ def figure_2(record: Row) -> Figure:
     """How the other parameters move along each profile, those that move most in colour."""
     part = next(iter(record["knees"].values()))
     n = len(part["parameters"])
-    parameters = ik.Parameters(
+    parameters = ik.model.Parameters(
         names=tuple(part["parameters"]),
         center=part["truth"],
         lower=part["lower_bound"],

@@ -10,7 +10,7 @@ def model_of(knee: ik.Knee) -> ik.LaxityModel:
     return ik.LaxityModel(knee=knee, protocol=ik.load_protocol("seed63"))
 
 
-def truth_of(parameters: ik.Parameters) -> ik.runs.Array:
+def truth_of(parameters: ik.model.Parameters) -> ik.runs.Array:
     """The parameters that make the data."""
     return ik.calibrate.named_start(TRUTH, parameters)
 

@@ -463,6 +463,21 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
         return diagnosis_figures(answer, knee)
 
     @override
+    def method(self, answer: Diagnosis) -> Iterator[str]:
+        n = len(answer.effects)
+        if n:
+            yield f"{n} possible causes of misfit were tested against the data."
+        if answer.steps:
+            yield (
+                f"The largest score of all exceeds {answer.steps[0].quantile:.3g} by chance in 5 % "
+                "of data sets."
+            )
+        if answer.noise is not None:
+            yield answer.noise.sentence
+        if answer.p_value is not None:
+            yield f"Noise alone leaves such a misfit with p = {answer.p_value:.2g}."
+
+    @override
     def ranges(self, answer: Diagnosis) -> Iterator[tuple[str, Range]]:
         pairs = [(Source.DIAGNOSIS, answer.parameters_before, answer.parameters_before_ci95)]
         if answer.causes:

@@ -18,7 +18,9 @@ from identknee.report.presenter import (
     Question,
     Statement,
     of_type,
+    optimizer_sources,
     presenter_of,
+    settings_of,
 )
 from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
@@ -266,6 +268,27 @@ class CalibrationPresenter(Presenter[Calibration]):
             },
             band=_band(beside, as_measured),
         )
+
+    @override
+    def method(self, answer: Calibration) -> Iterator[str]:
+        search, settings = answer.search, settings_of(answer)
+        words = search.method.replace("-", " ")
+        more = settings.get("more_starts")
+        beside = f" and {more} further starts" if more else ""
+        yield (
+            f"Parameters were fitted by {words} from {answer.start}{beside}, "
+            f"in {search.n_simulations} simulations."
+        )
+        yield f"The search ended so: {answer.outcome.sentence}"
+        if settings.get("likelihood") == "student":
+            yield "Errors had Student's t distribution."
+        if held := settings.get("hold_out"):
+            trials = [held] if isinstance(held, str) else held
+            yield f"Held out of the fit and predicted were {listed(map(str, trials))}."
+
+    @override
+    def sources(self, answer: Calibration) -> tuple[str, ...]:
+        return optimizer_sources(answer.search.method)
 
     @override
     def protocol(self, answer: Calibration) -> Protocol:

@@ -43,6 +43,10 @@ def _combination_words(names: Sequence[str], direction: Array) -> str:
     return ", ".join(f"{share} {name}" for share, name in signed)
 
 
+SCALES = {"typical": "typical steps (3 kN and 2 %)", "prior": "prior standard deviations"}
+TRANSTRUM = "Transtrum et al. (2011), Phys. Rev. E 83, 036701, doi:10.1103/PhysRevE.83.036701"
+
+
 class InformationPresenter(Presenter[LocalIdentifiability]):
     """How the information around the best fit is shown."""
 
@@ -119,6 +123,20 @@ class InformationPresenter(Presenter[LocalIdentifiability]):
             caption="Which parameters make up each of these combinations, one column each.",
             description=f"The sloppiest combination is {found.combination(found.theta.size - 1)}.",
         )
+
+    @override
+    def method(self, answer: LocalIdentifiability) -> Iterator[str]:
+        found = answer.fisher
+        yield (
+            "The Fisher information was computed at the best fit, with parameters in units of "
+            f"their {SCALES[found.scaling]}."
+        )
+        yield "Standard deviations linearise the model there."
+        yield f"The rank was taken at {answer.structure.n_points} random points of the bounds."
+
+    @override
+    def sources(self, answer: LocalIdentifiability) -> tuple[str, ...]:
+        return (TRANSTRUM,) if answer.geodesics else ()
 
     @override
     def ranges(self, answer: LocalIdentifiability) -> Iterator[tuple[str, Range]]:

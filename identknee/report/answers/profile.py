@@ -20,6 +20,7 @@ from identknee.report.presenter import (
     Source,
     Statement,
     open_ends_text,
+    settings_of,
 )
 from identknee.report.tables import Table, table
 from identknee.runs.words import (
@@ -286,6 +287,20 @@ def profile_range(profile: Profile) -> Range:
     )
 
 
+BATES = "Bates and Watts (1988), Nonlinear Regression Analysis, doi:10.1002/9780470316757"
+
+
+def _thresholds(profiles: Sequence[Profile]) -> dict[float, str]:
+    """By level, the rise of the deviance that bounds the sets, or its range."""
+    found: dict[float, list[float]] = {}
+    for x in profiles:
+        found.setdefault(x.level, []).append(x.threshold)
+    return {
+        level: f"{min(x):.3g}" if min(x) == max(x) else f"{min(x):.3g} to {max(x):.3g}"
+        for level, x in found.items()
+    }
+
+
 class ProfilesPresenter(Presenter[Profiles]):
     """How profiles are shown."""
 
@@ -315,6 +330,37 @@ class ProfilesPresenter(Presenter[Profiles]):
     @override
     def ranges(self, answer: Profiles) -> Iterator[tuple[str, Range]]:
         yield from ((x.name, profile_range(x)) for x in answer.profiles)
+
+    @override
+    def method(self, answer: Profiles) -> Iterator[str]:
+        profiles = answer.profiles
+        if not profiles:
+            return
+        names = listed(dict.fromkeys(parameter_words(x.name) for x in profiles))
+        yield (
+            f"Profile likelihoods were computed of {names}: each was held at one value after "
+            "another, and all others were fitted again."
+        )
+        settings = settings_of(answer)
+        n = settings.get("bootstrap")
+        degrees = answer.degrees_of_freedom
+        law = "the chi-squared law with one degree of freedom"
+        if n:
+            law = f"{n} simulated data sets"
+        elif degrees is not None:
+            law = f"the F law with {degrees} degrees of freedom of the noise"
+        for level, limits in _thresholds(profiles).items():
+            yield (
+                f"A {100 * level:g} % interval has the values at which the deviance rises by at "
+                f"most {limits}, from {law}."
+            )
+
+        if settings.get("budget"):
+            yield f"At most {settings['budget']} simulations were allowed for each profile."
+
+    @override
+    def sources(self, answer: Profiles) -> tuple[str, ...]:
+        return () if answer.degrees_of_freedom is None else (BATES,)
 
     @override
     def joined(self, first: Profiles, later: Profiles) -> Profiles:

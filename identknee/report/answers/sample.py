@@ -14,6 +14,7 @@ from identknee.report.presenter import (
     Range,
     Source,
     Statement,
+    settings_of,
 )
 from identknee.report.tables import table
 from identknee.runs.arrays import Array
@@ -67,6 +68,9 @@ def _force_ranges(
                 continue
             own = Range(source=Source.POSTERIOR, low=low, high=high, value=value, status=status)
             yield f"{ligament}.tension_N@{trial}", own
+
+
+VEHTARI = "Vehtari et al. (2021), Bayesian Anal. 16(2), 667-718, doi:10.1214/20-BA1221"
 
 
 class SamplePresenter(Presenter[Sample]):
@@ -185,6 +189,38 @@ class SamplePresenter(Presenter[Sample]):
                 description=f"Ranges of the tension of {listed(predictive.ligaments)} in "
                 f"{len(trials)} trials; the widest has {widths.max():.0f} N.",
             )
+
+    @override
+    def method(self, answer: Sample) -> Iterator[str]:
+        settings, check = settings_of(answer), answer.last_check
+        n = settings.get("n_ensembles")
+        ensembles = f" in {n} independent ensembles" if n else ""
+        chains = "" if answer.draws is None else f" by {answer.draws.n_chains} walkers"
+        moves = f" with the moves {settings['moves']}" if settings.get("moves") else ""
+        yield (
+            f"The posterior was sampled{chains}{ensembles}{moves}, in {answer.n_simulations} "
+            "simulations."
+        )
+        if check is not None:
+            yield (
+                f"Each walker made {check.steps} steps; the first {check.burn_in} were discarded."
+            )
+        met = [
+            f"{CONDITIONS.get(name, name)} {x['bar']:g} (found: {x['value']:.4g})"
+            for name, x in answer.gate.items()
+            if name in ("rhat", "effective_draws")
+        ]
+        if met:
+            yield f"Conditions of convergence were {listed(met)}."
+        if settings.get("budget"):
+            yield f"At most {settings['budget']} simulations were allowed."
+        yield answer.sentence
+        if answer.nested is not None:
+            yield f"Nested sampling gave a log evidence of {answer.nested.log_evidence:.2f}."
+
+    @override
+    def sources(self, answer: Sample) -> tuple[str, ...]:
+        return (VEHTARI,)
 
     @override
     def band(self, answer: Sample) -> Band | None:

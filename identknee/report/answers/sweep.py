@@ -7,7 +7,14 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.identify.sweep import END, OUTCOMES, POLISHED, Recovery, Survey
-from identknee.report.presenter import Drawing, Presenter, Question, Statement
+from identknee.report.presenter import (
+    Drawing,
+    Presenter,
+    Question,
+    Statement,
+    optimizer_sources,
+    settings_of,
+)
 from identknee.report.tables import Cell, Table, table
 from identknee.runs.record import Outcome
 from identknee.runs.words import label, listed
@@ -64,6 +71,9 @@ def _pct(share: float) -> str:
 
 def _kN_and_pct(distance: float) -> str:  # noqa: N802 - the unit
     return "any distance tried" if math.isinf(distance) else f"{distance:.2g} kN and %"
+
+
+GOOD = "Good (1953), Biometrika 40(3-4), 237-264, doi:10.1093/biomet/40.3-4.237"
 
 
 class SweepPresenter(Presenter[Sweep]):
@@ -123,6 +133,29 @@ class SweepPresenter(Presenter[Sweep]):
                 "fit "
                 f"the simulated knee jumps{f', most often in trial {lost}' if lost else ''}."
             )
+
+    @override
+    def method(self, answer: Sweep) -> Iterator[str]:
+        searches, settings = answer.searches, settings_of(answer)
+        placed = {"sobol": "Sobol points within the bounds", "shells": "shells"}
+        where = placed.get(answer.design, answer.design)
+        if answer.design == "shells" and settings.get("distances"):
+            where += f" around the start (mean differences {settings['distances']} kN and %)"
+        yield (
+            f"Fits by {searches.method.replace('-', ' ')} began at {searches.n} starts, {where}, "
+            f"with at most {searches.budget} simulations each."
+        )
+        yield "From each end least squares with exact derivatives went on."
+        yield (
+            "A search recovered the best fit where it ended within a mean distance of "
+            f"{_kN_and_pct(answer.survey.within)}."
+        )
+        if answer.cliffs is not None:
+            yield f"The straight paths of {answer.cliffs.n_paths} starts were searched for cliffs."
+
+    @override
+    def sources(self, answer: Sweep) -> tuple[str, ...]:
+        return (*optimizer_sources(answer.searches.method), GOOD)
 
     @override
     def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:

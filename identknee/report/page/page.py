@@ -6,15 +6,25 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
 
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
+from identknee.report.comparison import Comparison, comparison
 from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import Findings, Result, by_subject, drawings, laxity_drawings
+from identknee.report.page.results import (
+    COMPARE,
+    Findings,
+    Result,
+    by_subject,
+    comparisons,
+    drawings,
+    laxity_drawings,
+)
 from identknee.report.page.svg import inline_svg
 from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import (
@@ -26,10 +36,11 @@ from identknee.report.presenter import (
     presenter_of,
     statements_of,
 )
-from identknee.report.tables import table
+from identknee.report.table_files import ESTIMATES, estimates_table, file_word, named, notes_of
+from identknee.report.tables import Table, table
 from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress
-from identknee.runs.record import Outcome, versions
+from identknee.runs.record import Outcome, record, versions
 from identknee.runs.words import capitalised, label, listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
@@ -39,6 +50,7 @@ from identknee.verbs.registry import verbs
 MOST_OPEN = 3
 # Findings about these stand in the part on searches, all others in that on the model.
 OF_SEARCH = (About.STARTS, About.TRIALS, About.EARLIER)
+SIDE_BY_SIDE = "Side by side"
 RIGHT = "What was tested of the model"
 VERDICT_HEADINGS = {
     Verdict.ADEQUATE: RIGHT,
@@ -60,39 +72,151 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     """
     shown = scenes or {}
     subjects = by_subject(results)
-    titles = [x.title for x in subjects]
-    named = []
-    for k, x in enumerate(subjects):
-        name = x.title
-        if titles.count(name) > 1:
-            # A knee with several stated uncertainties is named with the one meant.
-            stated = x.results[0].record["settings"].get("uncertain")
-            given = [stated] if isinstance(stated, str) else stated or ()
-            stated_words = ", ".join(",".join(given).replace(" ", "").split(","))
-            number = titles[: k + 1].count(name)
-            name = f"{name} ({f'uncertain {stated_words}' if stated_words else f'number {number}'})"
+    parts_by_name = []
+    compared = [
+        (f"comparison-{k}", SIDE_BY_SIDE, _comparison_html(x, k))
+        for k, x in enumerate(side_by_side(results), 1)
+    ]
+    for k, (name, x) in enumerate(subject_names(results).items()):
         level = 2 if len(subjects) == 1 else 3
         scene = shown.get(x.results[0].subject_digest)
-        named.append((name, _subject_html(x, k + 1, level, scene)))
+        parts_by_name.append((name, _subject_html(x, k + 1, level, scene)))
+    titles = [x.title for x in subjects] or ["comparison"]
     title = f"Knee report: {', '.join(dict.fromkeys(titles))}"
     done = ", ".join(dict.fromkeys(x.verb for x in results))
     days = sorted({str(x.record["started"])[:10] for x in results})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
     lead = f"From {done}, computed {when}. Every sentence links to its numbers."
     maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
-    return document(title, parts().body(title, lead, named, maker), has_viewer=bool(shown))
+    return document(
+        title, parts().body(title, lead, compared, parts_by_name, maker), has_viewer=bool(shown)
+    )
+
+
+def subject_names(results: Sequence[Result]) -> dict[str, Findings]:
+    """The subjects by names that tell them apart, those that a comparison gave them first."""
+    subjects = by_subject(results)
+    titles = [x.title for x in subjects]
+    given = {
+        y.subject_digest: y.name
+        for x in of_type([x.answer for x in comparisons(results)], Comparison)
+        for y in x.items
+    }
+    found: dict[str, Findings] = {}
+    for k, x in enumerate(subjects):
+        name = x.title
+        if titles.count(name) > 1:
+            own = given.get(x.results[0].subject_digest) or _stated_words(x) or _folder_words(x)
+            taken = f"{name} ({own})" in found or not own
+            name = f"{name} ({f'number {titles[: k + 1].count(name)}' if taken else own})"
+        found[name] = x
+    return found
+
+
+def _stated_words(findings: Findings) -> str:
+    """The uncertainty that was stated of a knee, in the words of the option; empty for none."""
+    stated = findings.results[0].record["settings"].get("uncertain")
+    given = [stated] if isinstance(stated, str) else stated or ()
+    words = ", ".join(",".join(given).replace(" ", "").split(","))
+    return f"uncertain {words}" if words else ""
+
+
+def _folder_words(findings: Findings) -> str:
+    """The folder of the results of a knee, or the one that all theirs stand in."""
+    folders = list(dict.fromkeys(x.folder for x in findings.results))
+    if len(folders) == 1:
+        return folders[0].name
+    parents = {x.parent for x in folders}
+    return parents.pop().name if len(parents) == 1 else folders[0].name
+
+
+def side_by_side(results: Sequence[Result]) -> tuple[Result, ...]:
+    """The comparisons among the results; without one that of all knees and tables, if several."""
+    if made := comparisons(results):
+        return made
+    compared = dict(_by_knee_and_table(subject_names(results)))
+    compared = {name: own for name, own in compared.items() if own}
+    if len(compared) < 2:
+        return ()
+    whole = record(COMPARE, {}, {}).finish().to_dict()
+    return (Result(folder=Path(COMPARE), summary={"record": whole}, answer=comparison(compared)),)
+
+
+def _by_knee_and_table(subjects: Mapping[str, Findings]) -> Iterator[tuple[str, list[Answer]]]:
+    """The answers of each knee, and where it has several tables of each table, by their names."""
+    for name, subject in subjects.items():
+        digests = dict.fromkeys(x.data_digest for x in subject.results if x.data_digest)
+        tables = [tuple(x for x in subject.results if x.data_digest == y) for y in digests]
+        if len(tables) < 2:
+            yield name, [x.answer for x in tables[0]] if tables else []
+            continue
+        words = [_folder_words(replace(subject, results=x)) for x in tables]
+        for k, own in enumerate(tables):
+            number = f" {words[: k + 1].count(words[k])}" if words.count(words[k]) > 1 else ""
+            own_name = f"{words[k]}{number}"
+            shown = own_name if len(subjects) == 1 else f"{name} ({own_name})"
+            yield shown, [x.answer for x in own]
+
+
+def _comparison_html(result: Result, number: int) -> Markup:
+    """What results say side by side, its tables, and its figures."""
+    statements = [(x, result.folder.name) for x in statements_of(result.answer)]
+    leading = [x for x in statements if x[0].is_answer]
+    rest = [x for x in statements if not x[0].is_answer]
+    drawn = [
+        parts().figure(
+            Markup(inline_svg(x.figure, f"c{number}-{x.name}", x.description)), x.caption
+        )
+        for x in drawings(result)
+    ]
+    return Markup(parts().part(leading, rest, drawn[:1], drawn[1:]))
+
+
+def report_tables(results: Sequence[Result]) -> dict[str, tuple[Table, tuple[str, ...]]]:
+    """Every table of the page by the name of its file, with what its numbers rest on."""
+    found: dict[str, tuple[Table, tuple[str, ...]]] = {}
+    for result in side_by_side(results):
+        said = (y for x in statements_of(result.answer) for y in x.tables)
+        for word, one in named(said).items():
+            found[f"{_file_start(result)}-{word}"] = (one, notes_of([result.answer]))
+    subjects = subject_names(results)
+    for name, subject in subjects.items():
+        main = [x.answer for x in subject.of_main_data]
+        own = f"{file_word(name)}-" if len(subjects) > 1 else ""
+        seen = overview(main)
+        whole = {ESTIMATES: estimates_table(seen)}
+        # The sets hold on the proviso of the verdict.
+        verdict = (seen.verdict,) if seen.verdict else ()
+        fits = _fits_together(subject.merged.results)
+        if fits:
+            statement = _fits_statement([x.answer for x in fits])
+            whole |= {f"fits-{x}": y for x, y in named(statement.tables).items()}
+        found |= {f"{own}{x}": (y, (*verdict, *notes_of(main))) for x, y in whole.items() if y.rows}
+        for result in subject.merged.results:
+            said = (y for x in statements_of(result.answer) for y in x.tables)
+            notes = notes_of([result.answer])
+            for word, one in named(said).items():
+                found[f"{_file_start(result)}-{word}"] = (one, notes)
+    return found
 
 
 def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
     """Every figure of the page with the name of its file."""
+    for result in side_by_side(results):
+        for drawing in drawings(result):
+            yield f"{_file_start(result)}-{drawing.name}", drawing
     for subject in by_subject(results):
         findings = subject.merged
         shown = progress(findings.results, description="drawing figures")
         pairs = ((x, y) for x in shown for y in drawings(x))
         for result, drawing in chain(pairs, laxity_drawings(findings)):
-            folder = result.folder.name
-            beside = "" if folder == result.verb else f"{folder}-"
-            yield f"{beside}{result.verb}-{drawing.name}", drawing
+            yield f"{_file_start(result)}-{drawing.name}", drawing
+
+
+def _file_start(result: Result) -> str:
+    """What names of files of this result begin with: its verb, after its folder if that differs."""
+    folder = result.folder.name
+    return result.verb if folder == result.verb else f"{folder}-{result.verb}"
 
 
 def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene | None) -> Markup:
@@ -244,15 +368,7 @@ def _source(result: Result) -> str:
 def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
     """Statements of results: fits of one table side by side, shared assumptions once."""
     fits = of_type([x.answer for x in results], Calibration)
-    ended = [
-        x
-        for x in results
-        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
-    ]
-    # The table that most fits were made to is compared with all of them.
-    counts = Counter(x.data_digest for x in ended)
-    main, n = counts.most_common(1)[0] if counts else ("", 0)
-    together = [x for x in ended if x.data_digest == main] if n > 1 else []
+    together = _fits_together(results)
     sourced: list[Sourced] = []
     for result in results:
         # Of a fit that another beats no warning leads the page.
@@ -280,6 +396,18 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
             text = f"{capitalised(listed(owners))}: {text}"
         sourced.append((Statement(question=Question.KNOWN, sentence=text), listed(owners)))
     return sourced
+
+
+def _fits_together(results: Sequence[Result]) -> list[Result]:
+    """The fits that ended, of the table that most were made to; none where it is one."""
+    ended = [
+        x
+        for x in results
+        if any(y.outcome is not Outcome.START_FAILED for y in of_type([x.answer], Calibration))
+    ]
+    counts = Counter(x.data_digest for x in ended)
+    main, n = counts.most_common(1)[0] if counts else ("", 0)
+    return [x for x in ended if x.data_digest == main] if n > 1 else []
 
 
 def _fits_statement(answers: Sequence[Answer]) -> Statement:

@@ -17,7 +17,7 @@ from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, SUMMARY, loaded
 from identknee.verbs.registry import verb_named, verbs
 
-DEPTH = 2
+DEPTH, COMPARE = 2, "compare"
 REMEDY = (
     "Give the folder --out of identknee demo, fit, profile or diagnose, or one that holds such."
 )
@@ -151,12 +151,18 @@ def in_order(results: Sequence[Result]) -> tuple[Result, ...]:
 
 def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
     """The results by their subject, in the order in which subjects first come."""
+    results = [x for x in results if x.verb != COMPARE]
     digests = list(dict.fromkeys(x.subject_digest for x in results))
     return tuple(
         Findings(subject=own[0].subject, results=own)
         for digest in digests
         if (own := tuple(x for x in results if x.subject_digest == digest))
     )
+
+
+def comparisons(results: Sequence[Result]) -> tuple[Result, ...]:
+    """Those of the results that set others side by side; they are of no one subject."""
+    return tuple(x for x in results if x.verb == COMPARE)
 
 
 def _read(path: Path) -> Result | None:

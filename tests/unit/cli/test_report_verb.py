@@ -43,6 +43,20 @@ def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -
     assert all(x.read_bytes().startswith(b"%PDF") for x in files)
 
 
+def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
+    page = ("--out", tmp_path / "page.html")
+    result = run("report", folder, *page, "--tables", "csv,latex", "--methods")
+    assert result.exit_code == 0, result.output
+    names = {x.name for x in (tmp_path / "tables").iterdir()}
+    assert names == {"fit-fitted-parameters.csv", "fit-fitted-parameters.tex"}
+    assert f"2 files of tables: {tmp_path / 'tables'}" in result.stdout
+    text = (tmp_path / "methods.md").read_text(encoding="utf-8")
+    assert [x for x in text.splitlines() if x.startswith("#")] == [
+        *("# Methods", "## simulate (simulate)", "## fit (fit)")
+    ]
+    assert "none of csv, latex, markdown" in refused("report", folder, *page, "--tables", "odt")
+
+
 def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "fit", tmp_path, dirs_exist_ok=True)
     kept = json.loads((folder / "fit" / "result.json").read_text(encoding="utf-8"))

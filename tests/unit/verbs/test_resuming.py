@@ -40,7 +40,7 @@ def arguments_of(verb: str) -> dict[str, Any]:
     given: dict[str, Any] = {"subject": ik.reference_knee(), "data": LAXITY}
     # What has no default.
     given |= {"protocol": "drawer", "noise": "0.3mm,0.3deg"}
-    given |= {"osim": "model.osim", "bundles": "separate", "out": None}
+    given |= {"results": ["one", "two"], "osim": "model.osim", "bundles": "separate", "out": None}
     given |= dict.fromkeys(("fitted", "source", "vtk", "written"), "none")
     return {
         name: given[name] if name == "subject" or x.default is x.empty else x.default
