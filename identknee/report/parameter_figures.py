@@ -23,6 +23,7 @@ from identknee.report.figures import (
     STYLES,
     bare,
     legend_below,
+    wrapped,
 )
 from identknee.runs import words
 from identknee.runs.arrays import Array
@@ -481,7 +482,7 @@ def sets_figure(
         axes.axhline(0.0, color=BLACK, linewidth=0.8)
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.set_xlabel("trial")
-        axes.set_title(f"{name}\nminus {origin}", fontsize=SMALL + 1)
+        axes.set_title(f"{wrapped(name, 18)}\nminus {origin}", fontsize=SMALL + 1)
         bare(axes)
     handles = [
         Line2D([], [], color=COLOURS[0], linewidth=2, label="one of the two sets farthest apart"),
