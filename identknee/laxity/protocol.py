@@ -615,6 +615,8 @@ def nominal_loads(protocol: Protocol) -> Array:
 
 def held_loads(protocol: Protocol) -> Array:
     """What the rig holds throughout: the median of a load that no trial is without, ``(5,)``."""
+    if not protocol.n:
+        return np.zeros(len(LOADS))
     signs = np.sign(protocol.loads)
     is_held = np.all(signs == signs[:1], axis=0) & (signs[0] != 0.0)
     return np.where(is_held, np.median(protocol.loads, axis=0), 0.0)

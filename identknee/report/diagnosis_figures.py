@@ -86,7 +86,7 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(wrapped(title, max(40, int(12.0 * size[0]))), fontsize=9)
+    figure.suptitle(wrapped(title, min(80, int(12.0 * size[0]))), fontsize=9)
     if not cells:
         return figure
     axes = figure.add_subplot()
@@ -497,7 +497,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
 # Panels side by side, and the inches of each.
 PULLS_ACROSS, PANEL = 3, (2.3, 1.75)
 # Of a name: width of a letter and height [mm on the plateau].
-LETTER = (2.9, 5.5)
+LETTER = (4.3, 8.0)
 
 
 def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_named: bool) -> None:

@@ -28,6 +28,8 @@ SMALL = 8
 MEASURED, FIT, WITH_CAUSE, ALL_FITS = BLACK, *COLOURS[:2], COLOURS[5]
 # Letters of one line of a legend.
 LEGEND_LETTERS = 44
+# Width of a letter, and of the mark and the gaps beside an entry, in heights of a letter.
+LETTER_WIDTH, HANDLE_WIDTH = 0.56, 5.0
 
 
 def number(value: float, form: str = ".3g") -> str:
@@ -73,12 +75,15 @@ def legend_below(
     fontsize: int = 9,
     **more: Any,
 ) -> None:
-    """A legend of the whole figure below its panels, of so many columns at most."""
+    """A legend of the whole figure below its panels, of as many columns as fit, at most so many."""
+    words = [wrapped(x) for x in (labels or [str(y.get_label()) for y in handles])]
+    longest = max((len(y) for x in words for y in x.splitlines()), default=1)
+    inches = (LETTER_WIDTH * longest + HANDLE_WIDTH) * fontsize / 72.0
     figure.legend(
         handles,
-        [wrapped(x) for x in (labels or [str(y.get_label()) for y in handles])],
+        words,
         loc="outside lower center",
-        ncols=columns,
+        ncols=max(1, min(columns, int(figure.get_figwidth() / inches))),
         frameon=False,
         fontsize=fontsize,
         **more,

@@ -114,7 +114,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     Dots are measured, their bars two standard deviations; None where no angle has three loads of
     one kind.
     """
-    cells = _least_combined(curves.protocol)
+    cells = _least_combined(curves)
     if not cells:
         return None
     rows = sorted({axis for axis, _ in cells})
@@ -141,7 +141,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
 
 def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
     """Every coordinate along every load curve, a column a curve; None where there is none."""
-    cells = _least_combined(curves.protocol)
+    cells = _least_combined(curves)
     if not cells:
         return None
     figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
@@ -207,7 +207,10 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
                 _draw_way(axes, curves, trials, way, i)
         for axes, i in zip(grid[:, column], rows, strict=True):
             own = np.concatenate(list(directions.values()))
-            axes.set_title(_error_words(curves, own, i), fontsize=SMALL - 1, loc="right", pad=2.0)
+            axes.text(
+                1.0, 1.02, _error_words(curves, own, i), transform=axes.transAxes, ha="right",
+                va="bottom", fontsize=SMALL - 1,
+            )  # fmt: skip
             axes.tick_params(labelsize=SMALL)
             bare(axes)
             if i in along:
@@ -256,8 +259,12 @@ def _load_columns(shown: Protocol) -> dict[tuple[int, ...], dict[str, IntArray]]
 
 def _is_drawn(curves: LaxityCurves, i: int) -> bool:
     """Whether there is anything of a coordinate."""
-    drawn = [*curves.simulated.values(), *([] if curves.measured is None else [curves.measured])]
-    return any(np.isfinite(x[:, i]).any() for x in drawn)
+    return any(np.isfinite(x[:, i]).any() for x in _drawn_values(curves))
+
+
+def _drawn_values(curves: LaxityCurves) -> list[Array]:
+    measured = [] if curves.measured is None else [curves.measured]
+    return [*curves.simulated.values(), *measured]
 
 
 def _draw_way(axes: Axes, curves: LaxityCurves, trials: IntArray, way: _Way, i: int) -> None:
@@ -328,11 +335,16 @@ def _title(protocol: Protocol, setting: Setting) -> str:
     return "\n".join([f"{angle:g} deg flexion", *series_words(protocol, trial)])
 
 
-def _least_combined(protocol: Protocol) -> dict[tuple[int, Setting], Curve]:
-    """By load and setting its curve; of several the one with the least of the other loads."""
+def _least_combined(curves: LaxityCurves) -> dict[tuple[int, Setting], Curve]:
+    """By load and setting its curve; of several the one with the least of the other loads.
+
+    None of trials that were not measured and have no equilibrium in any model.
+    """
     cells: dict[tuple[int, Setting], tuple[float, Curve]] = {}
-    series, protocol = protocol.series, as_shown(protocol)
+    series, protocol = curves.protocol.series, as_shown(curves.protocol)
     for curve in load_curves(protocol):
+        if not any(np.isfinite(x[curve.trials]).any() for x in _drawn_values(curves)):
+            continue
         loads = protocol.loads[curve.trials]
         axis = int(np.argmax(np.ptp(loads, axis=0)))
         first = curve.trials[0]

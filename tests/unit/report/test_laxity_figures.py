@@ -138,7 +138,7 @@ def test_measured_trials_are_drawn_by_load_and_coordinate() -> None:
     trial = names.index("Anterior_90")
     assert place.get_xdata() == [given.protocol.flexion_deg[trial]]
     assert place.get_ydata() == [given.measured[trial, 1]]
-    assert drawer.get_title(loc="right") == "RMSE 2.0 mm"
+    assert [x.get_text() for x in drawer.texts] == ["RMSE 2.0 mm"]
     (legend,) = figure.legends
     assert [x.get_text() for x in legend.get_texts()] == ["fit", "measured ± 2 sd", LOST]
     assert empty_axes(figure, renderer := drawn_by(figure)) == []
