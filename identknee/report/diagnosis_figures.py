@@ -1,5 +1,6 @@
 """Figures of a diagnosis, one function a figure, in the style of `identknee.report.figures`."""
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 
@@ -233,7 +234,9 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     axes.plot(reach, reach, color=BLACK, linewidth=1.0, label="as the cause would have it")
     axes.set_xlabel(wrapped(f"expected of {name} [sd of the noise]"))
     axes.set_ylabel("left of the data [sd of the noise]")
-    variant = f", {added.variant.replace('_', ' ')}" if added.variant else ""
+    # Of a place its coordinates are said, some of them negative.
+    words = re.sub(r"(?<!\w)-(?=\d)", "−", added.variant.replace("_", " "))
+    variant = f", {words}" if words else ""
     axes.set_title(wrapped(f"{name}{variant}, score {added.score:.1f}", 60), fontsize=9)
     bare(axes)
     legend_below(figure, *axes.get_legend_handles_labels(), columns=4, fontsize=SMALL)

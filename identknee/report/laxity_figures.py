@@ -159,7 +159,7 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
 
 # Of as many angles each has a tick; of more combinations of loads those with the most trials.
 MOST_TICKS, MOST_COLUMNS = 8, 6
-ALONG_GROUND = "#f3f1e7"
+ALONG_GROUND = (COLOURS[4], 0.13)
 
 
 class _Way(NamedTuple):
@@ -187,7 +187,7 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
 
     For trials that make up no load curves. Dots are measured, their bars two standard deviations;
     lines are simulated, and break where there is no equilibrium. Above a panel stands the error of
-    what is simulated. A coordinate that moves along the load has a pale ground.
+    what is simulated. A coordinate that moves along the load has a tinted ground.
     """
     shown = as_shown(curves.protocol)
     whole = _load_columns(shown)
@@ -284,7 +284,7 @@ def _draw_way(axes: Axes, curves: LaxityCurves, trials: IntArray, way: _Way, i: 
     bars = None if curves.sd is None else 2.0 * curves.sd[trials, i]
     axes.errorbar(
         flexion, measured, yerr=bars, fmt=way.marker, color=MEASURED, markersize=3.5,
-        markerfacecolor=MEASURED if way.is_filled else "white", elinewidth=0.8,
+        markerfacecolor=MEASURED if way.is_filled else "none", elinewidth=0.8,
     )  # fmt: skip
     lost = np.isnan(fit) & ~np.isnan(measured)
     axes.plot(flexion[lost], measured[lost], "x", color=COLOURS[1], markersize=8.0, zorder=5)

@@ -435,7 +435,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
 def eigenvectors_figure(found: Information) -> Figure:
     """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
     n = found.theta.size
-    figure = Figure(figsize=(2.6 + 0.62 * n, 1.6 + 0.42 * n), layout="constrained")
+    figure = Figure(figsize=(2.6 + 0.62 * n, 2.2 + 0.42 * n), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
     for i in range(n):

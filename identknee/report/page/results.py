@@ -218,7 +218,7 @@ def _drawings_of_curves(curves: "LaxityCurves") -> Iterator[Drawing]:
             name="laxity" if number == 1 else f"laxity-{number}",
             figure=by_load_figure(other, title),
             caption=f"Where the tibia lies under each load, both directions in one panel; "
-            f"{'; '.join(parts)}. Pale ground: the coordinate along the load.",
+            f"{'; '.join(parts)}. Tinted ground: the coordinate along the load.",
             description=f"All coordinates under every load against flexion: {sources}.",
         )
     if on_curves is None or (along := along_load_figure(on_curves)) is None:

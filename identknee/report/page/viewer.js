@@ -10,6 +10,7 @@
   const SECONDS = 0.9; // a trial, while it plays
   const APART = -0.4; // mm; the depth of a place for which none was sent
   const BEYOND = 5; // mm from the end of a line to its name
+  const NAME = 8; // mm between names
   const POSITION = [
     ["lateral shift", "mm"],
     ["anterior drawer", "mm"],
@@ -150,12 +151,18 @@
   // Names lie beyond the tibial ends, in front of everything; that of a ligament of several lines
   // beyond the first of them.
   function names(trial, colours) {
+    const taken = [];
     return scene.ligaments.map((name, n) => {
       const line = scene.lines.find((x) => x.of === n);
       const [start, end] = course(trial, line).slice(-2);
       const along = unit(end.map((x, i) => x - start[i]));
+      const at = (away) => end.map((value, i) => value + away * along[i]);
+      // Bundles insert side by side: the name of the next one stands beyond that of the first.
+      let away = BEYOND;
+      while (taken.some((x) => Math.hypot(...at(away).map((y, i) => y - x[i])) < NAME)) away += NAME;
+      taken.push(at(away));
       return {
-        ...plotted(end.map((value, i) => value + BEYOND * along[i])),
+        ...plotted(at(away)),
         text: name, showarrow: false, font: { color: colours.ink, size: 13 },
       };
     });

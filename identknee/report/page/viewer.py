@@ -16,6 +16,7 @@ from identknee.mechanics.equilibria import Continuation, LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.candidate_laxity import continued_from_own_poses
+from identknee.model.contact_loads import contact_values
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.effects.facts import cause_label
 from identknee.model.laxity_model import Contact, LaxityModel, model_for_tests
@@ -117,6 +118,11 @@ class SceneTrial:
         "Lateral shift, anterior drawer, distraction [mm], varus, internal [deg]", "coordinate"
     )
     tensions: Array = array("Tension of each line; NaN without equilibrium", "line", unit="N")
+    contact_N: Array = array(  # noqa: N815 - the unit
+        "Contact force of the medial and the lateral compartment; NaN without equilibrium",
+        "compartment",
+        unit="N",
+    )
     near: IntArray = array(
         "Which vertices of the tibia touch the femur or are less than `APART` from it",
         "touching",
@@ -202,6 +208,7 @@ def _trials(
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
     main_loads = nominal_loads(protocol)
+    contact = contact_values(prediction)[:, :, 0]
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -215,6 +222,7 @@ def _trials(
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),
                 tensions=tensions[i],
+                contact_N=contact[i],
                 near=near,
                 depths=depths[near],
             )
@@ -402,15 +410,22 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
             # Where the line became a structure of the knee, it is among its ligaments.
             is_own = any(x.lines for x in model.knee.effects)
             return model_scene(model, theta, missing_line=None if is_own else line)
-        if (values := result.answer.parameter_set) is not None:
-            model = answered_model(result.answer, knee, protocol)
-            if tuple(values) != model.parameters.names:
-                continue
-            parameters = np.array(list(values.values()))
-            if result.verb == "simulate" and knee.poses:
-                model = continued_from_own_poses(model, parameters)
-            return model_scene(model, parameters)
+        if (found := scene_at(result.answer, knee, protocol)) is not None:
+            return found
     return None
+
+
+def scene_at(answer: Answer, knee: Knee, protocol: Protocol) -> KneeScene | None:
+    """The knee at the parameter set of an answer; None where it has none of this knee."""
+    if (values := answer.parameter_set) is None:
+        return None
+    model = answered_model(answer, knee, protocol)
+    if tuple(values) != model.parameters.names:
+        return None
+    parameters = np.array(list(values.values()))
+    if knee.poses and not isinstance(answer, Calibration):
+        model = continued_from_own_poses(model, parameters)
+    return model_scene(model, parameters)
 
 
 def _tests_of(answer: Answer, protocol: Protocol) -> Protocol | Laxity:
