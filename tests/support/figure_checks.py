@@ -176,12 +176,18 @@ def duplicates(figure: Figure) -> list[str]:
         found += _repeated("entry", [x.get_text() for x in legend.get_texts()])
     seen = [x for x in figure.axes if x.get_visible() and x.axison]
     for axes in seen:
-        for axis in (axes.xaxis, axes.yaxis):
+        for k, axis in enumerate((axes.xaxis, axes.yaxis)):
             low, high = sorted(axis.get_view_interval())
-            ticks = [x for x in axis.get_major_ticks() if low <= x.get_loc() <= high]
-            words = [x.label1.get_text() for x in ticks if x.label1.get_text()]
-            # Groups of a map repeat their columns; neighbours of one name cannot be told apart.
-            found += [f"the label {x!r}" for x, y in pairwise(words) if x == y]
+            ticks = [(float(x.get_loc()), x.label1.get_text()) for x in axis.get_major_ticks()]
+            named = [(at, word) for at, word in ticks if low <= at <= high and word]
+            lines = [np.asarray(x.get_xydata(), float)[:, k] for x in axes.lines]
+            between = [float(x[0]) for x in lines if x.size and np.ptp(x) == 0.0]
+            # Groups of a map repeat their columns, with a line between the groups.
+            found += [
+                f"the label {word!r}"
+                for (at, word), (then, other) in pairwise(named)
+                if word == other and not any(at < x < then for x in between)
+            ]
     panels = [repr(y) for x in seen if any((y := _content(x))[1:])]
     return [*found, *("a panel" for n in Counter(panels).values() if n > 1)]
 

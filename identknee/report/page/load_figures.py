@@ -256,9 +256,13 @@ COMPARTMENT_NAMES = tuple(f"{x} contact" for x in COMPARTMENTS)
 
 
 def forces_chart(
-    trials: Sequence[str], loads: Loads, ranges: Mapping[str, Range] | None = None
+    trials: Sequence[str],
+    loads: Loads,
+    ranges: Mapping[str, Range] | None = None,
+    *,
+    source: str = "fit",
 ) -> Figure:
-    """Every force in every trial at the fit, with its interval where known and with its limit.
+    """Every force in every trial, with its interval where known and with its limit.
 
     Parameters
     ----------
@@ -268,6 +272,8 @@ def forces_chart(
         What carries load.
     ranges
         Intervals by name, such as ``"MCL.tension_N@TRIAL"`` or ``"contact.medial_N@TRIAL"``.
+    source
+        What the forces are of.
     """
     known = ranges or {}
     rows = _rows(loads)
@@ -296,7 +302,7 @@ def forces_chart(
     first = grid[0, 0]
     first.set_yticks(range(len(rows)), [trials[i] for i in rows])
     first.set_ylim(len(rows) - 0.4, -0.6)
-    handles = [Line2D([], [], color=FIT, linestyle="", marker="o", markersize=4, label="fit")]
+    handles = [Line2D([], [], color=FIT, linestyle="", marker="o", markersize=4, label=source)]
     if has_interval:
         handles.append(Line2D([], [], color=FIT, linewidth=1.4, label="95 % interval"))
     handles.append(Line2D([], [], color=BLACK, linewidth=1.0, label="mean load at failure"))

@@ -48,7 +48,12 @@ def load_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
             result,
             Drawing(
                 name="all-forces",
-                figure=forces_chart(protocol.trials, loads, ranges),
+                figure=forces_chart(
+                    protocol.trials,
+                    loads,
+                    ranges,
+                    source="fit" if result.verb == "fit" else "simulated",
+                ),
                 caption="Every ligament force and contact force in every trial, with 95 % "
                 "intervals where known. Line and ground: published load at failure.",
                 description=f"Forces of {len(loads.names)} ligaments and both compartments by "

@@ -132,3 +132,9 @@ def test_a_ramp_under_constant_compression_is_about_its_own_load() -> None:
     assert not nominal_loads(held)[:, 3].any()
     blank = np.full((held.n, len(COORDINATES)), np.nan)
     assert trial_layout(Laxity(protocol=held, coordinates=blank)).sides()["no load"].any()
+
+
+def test_no_trial_has_no_load() -> None:
+    none = load_protocol("drawer").select([])
+    assert dominant_loads(none).axis.shape == (0,)
+    assert nominal_loads(none).shape == (0, 5)
