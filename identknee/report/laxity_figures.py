@@ -280,14 +280,22 @@ def _draw_way(axes: Axes, curves: LaxityCurves, trials: IntArray, way: _Way, i: 
         )  # fmt: skip
     if curves.measured is None:
         return
-    measured, fit = curves.measured[trials, i], next(iter(curves.simulated.values()))[trials, i]
+    measured = curves.measured[trials, i]
     bars = None if curves.sd is None else 2.0 * curves.sd[trials, i]
     axes.errorbar(
         flexion, measured, yerr=bars, fmt=way.marker, color=MEASURED, markersize=3.5,
         markerfacecolor=MEASURED if way.is_filled else "none", elinewidth=0.8,
     )  # fmt: skip
-    lost = np.isnan(fit) & ~np.isnan(measured)
+    lost = _is_lost(curves)[trials, i]
     axes.plot(flexion[lost], measured[lost], "x", color=COLOURS[1], markersize=8.0, zorder=5)
+
+
+def _is_lost(curves: LaxityCurves) -> BoolArray:
+    """Which measured values have none in the first model, shape ``(n, 5)``."""
+    if curves.measured is None or not curves.simulated:
+        return np.zeros((curves.protocol.n, len(COORDINATES)), dtype=bool)
+    fit = next(iter(curves.simulated.values()))
+    return np.asarray(np.isnan(fit) & ~np.isnan(curves.measured))
 
 
 def _error_words(curves: LaxityCurves, trials: IntArray, i: int) -> str:
@@ -300,7 +308,7 @@ def _error_words(curves: LaxityCurves, trials: IntArray, i: int) -> str:
         away = away[np.isfinite(away)]
         errors.append(f"{np.sqrt(np.mean(away**2)):.1f}" if away.size else "-")
     unit = unit_of(COORDINATES[i])
-    return f"RMSE {', '.join(errors)} {unit}" if set(errors) != {"-"} else ""
+    return f"RMSE {', '.join(errors)} {unit}" if set(errors) - {"-"} else ""
 
 
 def _keys(curves: LaxityCurves) -> list[Artist]:
@@ -316,8 +324,7 @@ def _keys(curves: LaxityCurves) -> list[Artist]:
         dots = Line2D([], [], color=MEASURED, linestyle="", marker="o", markersize=3.5)
         dots.set_label(f"measured{bars}")
         keys.append(dots)
-        fit = next(iter(curves.simulated.values()))
-        if (np.isnan(fit) & ~np.isnan(curves.measured)).any():
+        if _is_lost(curves).any():
             keys.append(
                 Line2D([], [], color=COLOURS[1], linestyle="", marker="x", markersize=8, label=LOST)
             )
