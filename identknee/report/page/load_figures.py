@@ -9,6 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -93,8 +94,9 @@ def knee_loads_figure(scene: KneeScene, protocol: Protocol, loads: Loads) -> Fig
     to failure. Of several trials of one kind at one angle the one with the largest load is shown.
     """
     grid_of, angles, kinds = _places(protocol)
-    size = (max(0.9 + PANEL[0] * len(kinds), 5.0), 2.2 + PANEL[1] * len(angles))
-    figure = Figure(figsize=size, layout="constrained")
+    size = (max(0.9 + PANEL[0] * len(kinds), 5.0), 2.3 + PANEL[1] * len(angles))
+    # Panels of equal scales may be higher than the layout has them.
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.12))
     grid = figure.subplots(len(angles), len(kinds), squeeze=False)
     shares, forces = _colours(loads)
     low, high = _window(scene)
