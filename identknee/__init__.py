@@ -22,6 +22,7 @@ function; the packages below hold the rest, such as ik.identify.geodesics.
 # no ``__all__``: help() would print all documentation of all names.
 from lazy_loader import attach_stub
 
+from identknee.runs.notebooks import show_in_notebooks
 from identknee.verbs.printer import Printer, set_printer
 from identknee.verbs.registry import Verb, register
 
@@ -34,8 +35,23 @@ def _printer() -> Printer:
     return printer
 
 
+def _shown(given: object) -> object:
+    from identknee.report.given import shown
+
+    return shown(given)  # type: ignore[arg-type]
+
+
 # What verbs may not import, because it stands above them, is given to them here.
 set_printer(_printer)
+show_in_notebooks(
+    (
+        ("identknee.subject.knee", "Knee"),
+        ("identknee.laxity.table", "Laxity"),
+        ("identknee.laxity.protocol", "Protocol"),
+        ("identknee.model.laxity_model", "LaxityModel"),
+    ),
+    _shown,
+)
 register(
     Verb(
         name="blind",

@@ -258,8 +258,7 @@ class _Table:
     def searched(self, start: Array) -> Array:
         """The same where trials may have no equilibrium at the start."""
         if not self.has_equilibrium(start)[self.measured.any(axis=1)].all():
-            search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
-            start = search.used(start).start
+            start = self.search.used(start).start
         return self.fitted(start, self.noise_at(start))
 
     def fitted(self, start: Array, noise: _Noise) -> Array:
@@ -270,8 +269,13 @@ class _Table:
         """Where a search may begin: as given, and stretched at the table's own measured poses."""
         yield from starts
         if self.model.poses is not None:
-            search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
-            yield search.stretched(starts[0], STRETCHES[-1])
+            yield self.search.stretched(starts[0], STRETCHES[-1])
+
+    @property
+    def search(self) -> TrialSearch:
+        """Looks for trials with an equilibrium; limits, which need a noise, do not count."""
+        search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
+        return search.without_limits
 
     def linearised(self, start: Array, noise: _Noise) -> tuple[float, Array]:
         """Least square that the model linear at `start` leaves with its priors, and where.

@@ -47,7 +47,7 @@ from identknee.diagnosis.verdict import (
     causes_of,
     conclude,
 )
-from identknee.laxity.protocol import nominal_flexion, nominal_loads, shown_flexion
+from identknee.laxity.protocol import as_shown
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import SHORT_DIRECTIONS
 from identknee.model.effects.effect import Effect
@@ -348,9 +348,10 @@ def better_start(attribution: Attribution) -> Array | None:
 
 def trial_layout(laxity: Laxity) -> TrialLayout:
     """The layout of the trials on the map of misfit."""
+    shown = as_shown(laxity.protocol)
     return TrialLayout(
-        flexion_deg=shown_flexion(nominal_flexion(laxity.protocol)),
-        loads=nominal_loads(laxity.protocol),
+        flexion_deg=shown.flexion_deg,
+        loads=shown.loads,
         directions=SHORT_DIRECTIONS,
         coordinates=COORDINATES,
         is_measured=laxity.is_measured,

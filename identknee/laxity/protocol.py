@@ -615,6 +615,8 @@ def nominal_loads(protocol: Protocol) -> Array:
 
 def held_loads(protocol: Protocol) -> Array:
     """What the rig holds throughout: the median of a load that no trial is without, ``(5,)``."""
+    if not protocol.n:
+        return np.zeros(len(LOADS))
     signs = np.sign(protocol.loads)
     is_held = np.all(signs == signs[:1], axis=0) & (signs[0] != 0.0)
     return np.where(is_held, np.median(protocol.loads, axis=0), 0.0)
@@ -642,14 +644,26 @@ def nominal_flexion(protocol: Protocol) -> Array:
 MOST_ANGLES, ANGLE_STEP_DEG = 50, 15.0
 
 
-def shown_flexion(flexion_deg: Array) -> Array:
-    """The angle under which each trial is shown [deg], any shape.
+def shown_flexion(protocol: Protocol) -> Array:
+    """The angle under which each trial is shown in every figure and map [deg], shape ``(n,)``.
 
-    Its own, or the nearest of a few where trials have too many angles for a map or a legend.
+    Angles that a rig reads a little apart are one, experiment by experiment. Where that leaves too
+    many for a map or a legend it is the nearest of a few.
     """
-    if np.unique(flexion_deg).size <= MOST_ANGLES:
-        return flexion_deg
-    return np.asarray(ANGLE_STEP_DEG * np.round(flexion_deg / ANGLE_STEP_DEG))
+    shown = np.array(protocol.flexion_deg)
+    names = np.array(protocol.experiment or ("",) * protocol.n)
+    for name in np.unique(names):
+        own = names == name
+        shown[own] = nominal_flexion(protocol.select(own))
+    steps = ANGLE_STEP_DEG * np.round(protocol.flexion_deg / ANGLE_STEP_DEG)
+    # Of angles all along an arc each is near the next, and none is that of all.
+    shown = np.where(np.abs(shown - protocol.flexion_deg) > 0.5 * ANGLE_STEP_DEG, steps, shown)
+    return np.asarray(steps if np.unique(shown).size > MOST_ANGLES else shown)
+
+
+def as_shown(protocol: Protocol) -> Protocol:
+    """The protocol as figures show it: one angle for trials near it, stray loads left out."""
+    return replace(protocol, flexion_deg=shown_flexion(protocol), loads=nominal_loads(protocol))
 
 
 def opposite_pairs(protocol: Protocol) -> IntArray:

@@ -1,5 +1,6 @@
 """Figures of a diagnosis, one function a figure, in the style of `identknee.report.figures`."""
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 
@@ -14,16 +15,29 @@ from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.verdict import Estimate
-from identknee.laxity.protocol import Protocol, shown_flexion
+from identknee.laxity.protocol import Protocol, as_shown
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.trial_words import load_label, series_words
+from identknee.laxity.trial_words import load_label, load_word, series_words
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, STYLES, bare, legend_below
+from identknee.report.figures import (
+    BLACK,
+    COLOURS,
+    FIT,
+    GREY,
+    MARKERS,
+    MEASURED,
+    STYLES,
+    bare,
+    legend_below,
+    number,
+    wrapped,
+)
+from identknee.report.laxity_figures import LaxityCurves, by_load_figure
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
-from identknee.runs.words import coordinate_words, label
+from identknee.runs.words import coordinate_words, label, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (
     AddedVariable,
@@ -67,11 +81,13 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     rows = [x for x in COORDINATES if x in {y.coordinate for y in cells}]
     angles = sorted({x.flexion_deg for x in cells})
     directions = list(dict.fromkeys(x.direction for x in cells))
-    columns = [(angle, x) for angle in angles for x in directions]
+    known = {(x.flexion_deg, x.direction) for x in cells}
+    # What was done at no angle, or not at this one, has no column.
+    columns = [(angle, x) for angle in angles for x in directions if (angle, x) in known]
     scores = np.full((len(rows), len(columns)), np.nan)
     size = (2.9 + 0.5 * len(columns), 2.1 + 0.42 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(title, fontsize=9)
+    figure.suptitle(wrapped(title, min(80, int(12.0 * size[0]))), fontsize=9)
     if not cells:
         return figure
     axes = figure.add_subplot()
@@ -79,7 +95,9 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     for x in cells:
         row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
         scores[row, column] = x.score
-        _write_cell(axes, column, row, f"{x.score:.1f}", is_dark=abs(x.score) > DARK * largest)
+        _write_cell(
+            axes, column, row, number(x.score, ".1f"), is_dark=abs(x.score) > DARK * largest
+        )
         if x.p_value <= LEVEL:
             corners = np.array(
                 [[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]]
@@ -91,17 +109,17 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     figure.colorbar(image, ax=axes, label="score of the misfit", shrink=0.9)
     axes.set_yticks(range(len(rows)), [label(x) for x in rows], fontsize=SMALL)
     axes.set_xticks(range(len(columns)), [x for _, x in columns], fontsize=TINY, rotation=90)
-    for k, angle in enumerate(angles):
-        middle = (k + 0.5) * len(directions) - 0.5
-        axes.text(middle, -0.75, f"{angle:g} deg", ha="center", fontsize=9)
-        axes.axvline((k + 1) * len(directions) - 0.5, color=BLACK, linewidth=1.0)
+    for angle in angles:
+        own = [i for i, x in enumerate(columns) if x[0] == angle]
+        axes.text((own[0] + own[-1]) / 2, -0.75, f"{angle:g} deg", ha="center", fontsize=9)
+        axes.axvline(own[-1] + 0.5, color=BLACK, linewidth=1.0)
     return figure
 
 
 def residual_curves_figure(answer: Diagnosis) -> Figure | None:
     """What the base model leaves along every load curve, with what the leading causes explain.
 
-    None where no three trials make a curve.
+    None where nothing was measured.
 
     Dots are measured minus predicted values, the band two standard deviations of the noise. Lines
     are what the model changes when a cause joins it and everything is fitted again: the cause that
@@ -111,7 +129,7 @@ def residual_curves_figure(answer: Diagnosis) -> Figure | None:
         return None
     left = answer.residuals.before
     changes = {
-        " and ".join(x.names): left - x.residuals
+        listed(map(cause_label, x.names)): left - x.residuals
         for x in answer.explanations
         if x.names and np.isfinite(x.chi_square)
     }
@@ -124,7 +142,8 @@ def residuals_figure(
 ) -> Figure | None:
     """What a model leaves of the data along every load curve, and what others change of it.
 
-    None where no three trials make a curve.
+    By load and flexion where trials make up no load curves, as those that a rig runs. None where
+    nothing was measured.
 
     Parameters
     ----------
@@ -137,10 +156,19 @@ def residuals_figure(
     changes
         By name of a model, its prediction minus the first one's, in the same shape.
     """
+    exact, protocol = protocol, as_shown(protocol)
     curves = load_curves(protocol)
     rows = np.flatnonzero(np.isfinite(residuals).any(axis=0))
-    if not curves or not rows.size:
+    if not rows.size:
         return None
+    whole = LaxityCurves(
+        protocol=exact,
+        simulated={WITHOUT_CAUSE: np.zeros_like(residuals), **changes},
+        measured=residuals,
+        sd=sd,
+    )
+    if not curves or not whole.on_curves().all():
+        return by_load_figure(whole, LEFT_OVER)
     size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
@@ -148,36 +176,37 @@ def residuals_figure(
         for axes, i in zip(grid[:, column], rows, strict=True):
             spread = 2.0 * sd[:, i][curve.trials]
             axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
-            axes.axhline(0.0, color=GREY, linewidth=0.7)
-            axes.plot(curve.load, residuals[:, i][curve.trials], "o", color=BLACK, markersize=2.8)
+            axes.axhline(0.0, color=FIT, linewidth=1.3)
+            axes.plot(
+                curve.load, residuals[:, i][curve.trials], "o", color=MEASURED, markersize=2.8
+            )
             axes.tick_params(labelsize=TINY)
             bare(axes)
-            for k, change in enumerate(changes.values()):
+            for k, change in enumerate(changes.values(), start=1):
                 values = change[curve.trials, i]
                 axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
         trial, axis = curve.trials[0], _axis(protocol, curve)
         others = [
-            f"{load_label(i)} {x:g}"
+            load_word(i, x, "{what} {size:.3g} {unit}")
             for i, x in enumerate(protocol.loads[trial])
             if i != axis and x != 0.0
         ]
-        grid[0, column].set_title(
-            "\n".join(
-                [f"{protocol.flexion_deg[trial]:g} deg", *others, *series_words(protocol, trial)]
-            ),
-            fontsize=SMALL,
-        )
+        head = [f"{protocol.flexion_deg[trial]:g} deg", *others, *series_words(protocol, trial)]
+        grid[0, column].set_title("\n".join(wrapped(x, 22) for x in head), fontsize=SMALL)
         grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
     for axes, i in zip(grid[:, 0], rows, strict=True):
-        axes.set_ylabel(label(COORDINATES[i]), fontsize=SMALL)
+        axes.set_ylabel(wrapped(label(COORDINATES[i]), 18), fontsize=SMALL)
     handles = [
         figure.axes[0].plot([], [], STYLES[k], color=COLOURS[k], label=name)[0]
-        for k, name in enumerate(changes)
+        for k, name in enumerate(whole.simulated)
     ]
-    if handles:
-        legend_below(figure, handles, columns=3)
-    figure.suptitle("measured minus predicted by the model without causes", fontsize=10)
+    legend_below(figure, handles, columns=3)
+    figure.suptitle(LEFT_OVER, fontsize=10)
     return figure
+
+
+WITHOUT_CAUSE = "model without causes"
+LEFT_OVER = f"measured minus predicted by the {WITHOUT_CAUSE}"
 
 
 def added_variable_figure(added: AddedVariable) -> Figure:
@@ -186,8 +215,9 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     Both without what the fitted parameters explain. A cause that is right puts all points on the
     line; clusters of one angle away from it contradict it.
     """
-    expected, left, flexion = added.expected, added.left, shown_flexion(added.flexion_deg)
-    figure = Figure(figsize=(5.0, 4.4), layout="constrained")
+    expected, left, flexion = added.expected, added.left, added.flexion_deg
+    name = cause_label(added.name)
+    figure = Figure(figsize=(5.0, 4.8), layout="constrained")
     axes = figure.add_subplot()
     for k, angle in enumerate(np.unique(flexion)):
         own = flexion == angle
@@ -202,12 +232,14 @@ def added_variable_figure(added: AddedVariable) -> Figure:
         )
     reach = 1.05 * np.abs(expected).max() * np.array([-1.0, 1.0])
     axes.plot(reach, reach, color=BLACK, linewidth=1.0, label="as the cause would have it")
-    axes.set_xlabel(f"expected of {added.name} [sd of the noise]")
+    axes.set_xlabel(wrapped(f"expected of {name} [sd of the noise]"))
     axes.set_ylabel("left of the data [sd of the noise]")
-    variant = f"\n{added.variant}" if added.variant else ""
-    axes.set_title(f"{added.name}, score {added.score:.1f}{variant}", fontsize=9)
-    axes.legend(fontsize=SMALL, frameon=False)
+    # Of a place its coordinates are said, some of them negative.
+    words = re.sub(r"(?<!\w)-(?=\d)", "−", added.variant.replace("_", " "))
+    variant = f", {words}" if words else ""
+    axes.set_title(wrapped(f"{name}{variant}, score {added.score:.1f}", 60), fontsize=9)
     bare(axes)
+    legend_below(figure, *axes.get_legend_handles_labels(), columns=4, fontsize=SMALL)
     return figure
 
 
@@ -217,27 +249,31 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
     Right of the line lies the largest score of all in 5 % of data without any effect.
     """
     order = list(steps[0].scores)
-    figure = Figure(figsize=(6.4, 1.3 + 0.24 * len(order)), layout="constrained")
+    figure = Figure(figsize=(7.4, 1.3 + 0.24 * len(order)), layout="constrained")
     axes = figure.add_subplot()
     height = 0.8 / len(steps)
     for k, step in enumerate(steps):
         places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
         # What is in the fit already has no score beside it.
         scores = [step.scores.get(x, 0.0) for x in order]
+        beside = listed(map(cause_label, step.beside))
         axes.barh(
             places,
             scores,
             height,
             color=COLOURS[k],
-            label=(f"with {' and '.join(step.beside)}" if step.beside else "without cause"),
+            label=f"with {beside}" if beside else WITHOUT_CAUSE,
         )
         axes.axvline(step.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
-    axes.set_yticks(range(len(order)), order, fontsize=SMALL)
+    axes.set_yticks(range(len(order)), [cause_label(x) for x in order], fontsize=SMALL)
     axes.set_ylim(len(order) - 0.4, -0.6)
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("score [normal deviate]; dashed line: the largest of all by chance in 5 %")
+    axes.set_xlabel(
+        "score [normal deviate]\ndashed line: the largest of all by chance in 5 % of data",
+        fontsize=SMALL + 1,
+    )
     if len(steps) > 1:
-        axes.legend(fontsize=SMALL, frameon=False, loc="lower right")
+        legend_below(figure, *axes.get_legend_handles_labels(), columns=2, fontsize=SMALL)
     bare(axes)
     return figure
 
@@ -281,10 +317,10 @@ def parameters_before_after_figure(
     truth
         True values by whole name, where they are known.
     """
-    fits = {"without cause": _estimates(answer.parameters_before, answer.parameters_before_ci95)}
+    fits = {WITHOUT_CAUSE: _estimates(answer.parameters_before, answer.parameters_before_ci95)}
     if answer.causes:
         after = _estimates(answer.parameters_after, answer.parameters_after_ci95)
-        fits[f"with {' and '.join(map(cause_label, answer.cause_names))}"] = after
+        fits[f"with {listed(map(cause_label, answer.cause_names))}"] = after
     return estimates_figure(fits, truth)
 
 
@@ -329,7 +365,7 @@ def estimates_figure(
             bare(axes)
         row[0].set_ylabel(words)
     for axes, ligament in zip(grid[0], ligaments, strict=True):
-        axes.set_title(ligament, fontsize=9)
+        axes.set_title(wrapped(ligament, 14), fontsize=9)
     legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=3)
     return figure
 
@@ -340,7 +376,7 @@ def diagnosis_figures(answer: Diagnosis, knee: Knee) -> dict[str, Figure]:
     if misfit is None or added is None:
         return {}
     drawn = {
-        "misfit": misfit_figure(misfit.map, misfit.sentence),
+        "misfit": misfit_figure(misfit.map, misfit_words(misfit.cells, misfit.share)),
         "residuals": residual_curves_figure(answer),
         "added_variable": added_variable_figure(added),
         "scores": scores_figure(answer.steps),
@@ -378,32 +414,56 @@ REACH = 22.0  # mm on the page, of the largest force that is shown as known
 RING = 13.0  # mm, radius of the arc of a moment
 LEAST_TURN, MOST_TURN = 8.0, 150.0  # deg, of an arc that is drawn, and of the largest
 WITHIN_95 = 2.45  # standard deviations of a pair of numbers
-SHOWN, LINES = COLOURS[1], (COLOURS[0], COLOURS[2], COLOURS[3])
+SHOWN, LINES = COLOURS[1], (COLOURS[2], COLOURS[3], COLOURS[4])
 
 
-def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
+def largest_pulls(pulls: Sequence[Pull], most: int = 6) -> tuple[Pull, ...]:
+    """The largest of what is missing, what noise hardly leaves first, in their own order."""
+    if not pulls:
+        return ()
+    tiny = np.finfo(np.float64).tiny
+    force = max(tiny, *map(_force, pulls))
+    moment = max(tiny, *(abs(x.internal_moment_Nm) for x in pulls))
+
+    def order(pull: Pull) -> tuple[bool, float]:
+        return pull.p_value > LEVEL, -_force(pull) / force - abs(pull.internal_moment_Nm) / moment
+
+    kept = sorted(pulls, key=order)[:most]
+    return tuple(x for x in pulls if x in kept)
+
+
+def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
     """What else would have to act on the tibia, on its plateau, by flexion and direction of load.
 
     Straight arrows are forces, arcs moments about the tibial axis, both means over the trials and
     outside the directions in which contact presses; the ellipse holds the tip in 95 % of cases.
     Grey is what noise alone may ask for. It is what is missing beside the ligaments as they are in
     the explanation that the diagnosis gives, whose structures are drawn too, a square at the tibia;
-    where it gives none, beside ligaments that have taken over what they can.
+    where it gives none, beside ligaments that have taken over what they can. Of many the largest
+    are shown. None where nothing was computed.
     """
-    pulls = answer.missing_wrench
-    angles = sorted({x.flexion_deg for x in pulls})
-    directions = list(dict.fromkeys(x.direction for x in pulls))
-    size = (0.8 + 2.1 * max(len(directions), 1), 1.2 + 1.45 * max(len(angles), 1))
-    figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle("missing force and moment on the tibia, seen from above", fontsize=10)
+    pulls = largest_pulls(answer.missing_wrench)
     if not pulls:
-        return figure
-    grid = figure.subplots(len(angles), len(directions), squeeze=False)
+        return None
+    across = min(len(pulls), PULLS_ACROSS)
+    down = -(-len(pulls) // across)
+    size = (0.4 + PANEL[0] * across, 1.3 + PANEL[1] * down)
+    figure = Figure(figsize=size, layout="constrained")
+    of_many = len(answer.missing_wrench) > len(pulls)
+    which = f", the largest {len(pulls)} of {len(answer.missing_wrench)}" if of_many else ""
+    figure.suptitle(
+        wrapped(
+            f"missing force and moment on the tibia, seen from above{which}", int(14 * size[0])
+        ),
+        fontsize=10,
+    )
+    grid = figure.subplots(down, across, squeeze=False)
+    for unused in grid.flat[len(pulls) :]:
+        unused.remove()
     known = [x for x in pulls if x.p_value <= LEVEL] or pulls
-    forces = [_force(x) for x in known]
-    moments = [abs(x.internal_moment_Nm) for x in known]
     tiny = np.finfo(np.float64).tiny
-    force, moment = max(*forces, tiny), max(*moments, tiny)
+    force = max(*map(_force, known), tiny)
+    moment = max(*(abs(x.internal_moment_Nm) for x in known), tiny)
     given: dict[str, LineEnds] = {
         cause_label(x.name): x.line for x in answer.causes if x.line is not None
     }
@@ -412,42 +472,10 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     lines = {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
     # Arrows cross what is written beside them: names stand where these are shortest.
     least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
-    named = grid[angles.index(least.flexion_deg), directions.index(least.direction)]
-    for axes in grid.flat:
-        is_named = axes is named
-        for surface in knee.tibia:
-            page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
-            axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
-        places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
-        axes.plot(*places.T, "o", color=GREY, markersize=2.5)
-        for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
-            away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
-            axes.annotate(
-                ligament.name,
-                place,
-                (float(away[0]), float(away[1])),
-                textcoords="offset points",
-                fontsize=TINY,
-                ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
-                va="center",
-            )
-        for line, colour in zip(lines.values(), cycle(LINES), strict=False):
-            ends = ABOVE.project(line)[:, :2]
-            axes.plot(*ends.T, color=colour, linewidth=2.0)
-            axes.plot(*ends[1], "s", color=colour, markersize=4)
-        axes.set_aspect("equal")
-        axes.margins(MARGIN)
-        axes.set_axis_off()
-        # What follows must not change the scale, which is that of all panels.
-        axes.autoscale_view()
-        axes.set_autoscale_on(False)
-    for pull in pulls:
-        axes = grid[angles.index(pull.flexion_deg), directions.index(pull.direction)]
+    for pull, axes in zip(pulls, grid.flat, strict=False):
+        _draw_plateau(axes, knee, lines, is_named=pull is least)
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
-    for axes, direction in zip(grid[0], directions, strict=True):
-        axes.set_title(direction, fontsize=9)
-    for axes, angle in zip(grid[:, 0], angles, strict=True):
-        axes.text(-0.04, 0.5, f"{angle:g} deg", transform=axes.transAxes, ha="right", va="center")
+        axes.set_title(f"{pull.flexion_deg:g} deg, {pull.direction}", fontsize=9)
     handles = [
         Line2D([], [], color=SHOWN, linewidth=1.8, label="more than noise (p < 0.05)"),
         Line2D([], [], color=GREY, linewidth=1.8, label="may be noise"),
@@ -459,11 +487,57 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure:
     legend_below(
         figure,
         handles,
-        columns=4,
-        title="up is anterior, right is lateral, an arc counterclockwise is an internal moment",
+        columns=min(across, 4),
+        title=wrapped(
+            "up is anterior, right is lateral, an arc counterclockwise is an internal moment",
+            int(15 * size[0]),
+        ),
         title_fontsize=SMALL,
     )
     return figure
+
+
+# Panels side by side, and the inches of each.
+PULLS_ACROSS, PANEL = 3, (2.3, 1.75)
+# Of a name: width of a letter and height [mm on the plateau].
+LETTER = (4.3, 8.0)
+
+
+def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_named: bool) -> None:
+    """The tibial cartilage and where ligaments insert, from above."""
+    for surface in knee.tibia:
+        page = ABOVE.project(knee.tibia_frame.to_local(surface.vertices))[:, :2]
+        axes.fill(*page[ConvexHull(page).vertices].T, color=PLATEAU, linewidth=0)
+    places = ABOVE.project(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))[:, :2]
+    axes.plot(*places.T, "o", color=GREY, markersize=2.5)
+    taken: list[Array] = []
+    for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
+        away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
+        # A name that would lie upon another one is left out: bundles insert side by side.
+        box = np.array([LETTER[0] * len(ligament.name), LETTER[1]])
+        middle = place + 0.5 * away + 0.5 * box * [np.sign(away[0]) * (abs(away[0]) > 4.0), 0.0]
+        if any((np.abs(x[0] - middle) < 0.5 * (x[1] + box)).all() for x in taken):
+            continue
+        taken.append(np.array([middle, box]))
+        axes.annotate(
+            ligament.name,
+            place,
+            (float(away[0]), float(away[1])),
+            textcoords="offset points",
+            fontsize=TINY,
+            ha="left" if away[0] > 4.0 else "right" if away[0] < -4.0 else "center",
+            va="center",
+        )
+    for line, colour in zip(lines.values(), cycle(LINES), strict=False):
+        ends = ABOVE.project(line)[:, :2]
+        axes.plot(*ends.T, color=colour, linewidth=2.0)
+        axes.plot(*ends[1], "s", color=colour, markersize=4)
+    axes.set_aspect("equal")
+    axes.margins(MARGIN)
+    axes.set_axis_off()
+    # What follows must not change the scale, which is that of all panels.
+    axes.autoscale_view()
+    axes.set_autoscale_on(False)
 
 
 def _force(pull: Pull) -> float:
@@ -485,7 +559,7 @@ def _draw_pull(axes: Axes, pull: Pull, mm_per_N: float, deg_per_Nm: float) -> No
     _draw_arrow(axes, np.zeros(2), tip, colour)
     _draw_moment(axes, deg_per_Nm * pull.internal_moment_Nm, colour)
     moment, sd = pull.internal_moment_Nm, pull.sd_internal_moment_Nm
-    text = f"{_force(pull):.0f} N, {moment:+.1f} ± {sd:.1f} N·m"
+    text = f"{_force(pull):.0f} N, {number(moment, '+.1f')} ± {sd:.1f} N·m"
     axes.text(0.5, -0.02, text, transform=axes.transAxes, ha="center", va="top", fontsize=TINY)
 
 

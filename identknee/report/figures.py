@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from textwrap import wrap
 from typing import Any, Literal
 
 import matplotlib as mpl
@@ -23,6 +24,39 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 STYLES = ("-", "--", "-.", ":")
 BLACK, GREY = "#000000", "#777777"
 SMALL = 8
+# One colour for one thing in every figure: what was measured, the fit or model without causes, that
+# with causes, and all that fits as well.
+MEASURED, FIT, WITH_CAUSE, ALL_FITS = BLACK, *COLOURS[:2], COLOURS[5]
+# Letters of one line of a legend.
+LEGEND_LETTERS = 44
+# Width of a letter, and of the mark and the gaps beside an entry, in heights of a letter.
+LETTER_WIDTH, HANDLE_WIDTH = 0.56, 5.0
+
+
+def number(value: float, form: str = ".3g") -> str:
+    """A number as it stands on an axis, with a true minus sign.
+
+    Examples
+    --------
+    >>> number(-0.52, ".1f"), number(3.0, "+.1f"), number(-0.01, ".1f")
+    ('−0.5', '+3.0', '0.0')
+    """
+    text = f"{value:{form}}"
+    if float(text) == 0.0:
+        text = text.replace("-", "")
+    return text.replace("-", "−")
+
+
+def wrapped(text: str, letters: int = LEGEND_LETTERS) -> str:
+    """A text on as many lines as it needs, each of so many letters at most.
+
+    Examples
+    --------
+    >>> print(wrapped("with tibial frame and femoral frame", 20))
+    with tibial frame
+    and femoral frame
+    """
+    return "\n".join(wrap(text, letters, break_long_words=False))
 
 
 def panel_row(
@@ -42,12 +76,15 @@ def legend_below(
     fontsize: int = 9,
     **more: Any,
 ) -> None:
-    """A legend of the whole figure below its panels, of so many columns at most."""
+    """A legend of the whole figure below its panels, of as many columns as fit, at most so many."""
+    words = [wrapped(x) for x in (labels or [str(y.get_label()) for y in handles])]
+    longest = max((len(y) for x in words for y in x.splitlines()), default=1)
+    inches = (LETTER_WIDTH * longest + HANDLE_WIDTH) * fontsize / 72.0
     figure.legend(
         handles,
-        [str(x.get_label()) for x in handles] if labels is None else labels,
+        words,
         loc="outside lower center",
-        ncols=columns,
+        ncols=max(1, min(columns, int(figure.get_figwidth() / inches))),
         frameon=False,
         fontsize=fontsize,
         **more,

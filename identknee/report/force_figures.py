@@ -4,7 +4,7 @@ import numpy as np
 
 from identknee.checks.compared_forces import ComparedForces
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, COLOURS, SMALL, bare, legend_below
+from identknee.report.figures import FIT, MEASURED, SMALL, bare, legend_below
 from identknee.runs.words import label
 
 MOST_PANELS, MOST_TRIALS, IN_A_ROW = 12, 24, 3
@@ -31,11 +31,11 @@ def compared_forces_figure(forces: ComparedForces) -> Figure:
     for axes, kind, own in zip(grid.flat, kinds, rows, strict=False):
         places = np.arange(len(own))
         axes.errorbar(
-            forces.measured[own], places, xerr=2.0 * forces.sd[own], fmt="o", color=BLACK,
+            forces.measured[own], places, xerr=2.0 * forces.sd[own], fmt="o", color=MEASURED,
             markersize=3.5, elinewidth=0.9, label="measured",
         )  # fmt: skip
         axes.plot(
-            forces.predicted[own], places, "s", color=COLOURS[1], markersize=6.0,
+            forces.predicted[own], places, "s", color=FIT, markersize=6.0,
             markerfacecolor="none", label="predicted by the fit",
         )  # fmt: skip
         axes.set_yticks(places, [forces.trials[i] for i in own])

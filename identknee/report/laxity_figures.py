@@ -1,20 +1,32 @@
 """Figures of laxity along load curves: measured, simulated, and bands around it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from identknee.checks.data_noise import Curve, load_curves
-from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.protocol import LOADS, Protocol, as_shown
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.trial_words import series_words
+from identknee.laxity.trial_words import UNLOADED, load_label, loads_words, series_words
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, COLOURS, MARKERS, SMALL, STYLES, bare, legend_below
-from identknee.runs.arrays import Array, frozen
+from identknee.report.figures import (
+    ALL_FITS,
+    COLOURS,
+    MEASURED,
+    SMALL,
+    STYLES,
+    bare,
+    legend_below,
+    wrapped,
+)
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import declared, entry
-from identknee.runs.words import label
+from identknee.runs.words import label, unit_of
 
 # The coordinate that moves along each load.
 ALONG = {
@@ -56,6 +68,45 @@ class LaxityCurves:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(getattr(self, name), *shape, name=name))
 
+    def select(self, trials: IntArray) -> "LaxityCurves":
+        """Those of some trials, in their order."""
+        return LaxityCurves(
+            protocol=self.protocol.select(trials),
+            simulated={name: x[trials] for name, x in self.simulated.items()},
+            measured=None if self.measured is None else self.measured[trials],
+            sd=None if self.sd is None else self.sd[trials],
+            band=None if self.band is None else (self.band[0], self.band[1][:, trials]),
+        )
+
+    def on_curves(self) -> BoolArray:
+        """Which trials are of an experiment and a state most of whose trials make up load curves.
+
+        Angles that a rig reads a little apart are one.
+        """
+        series, is_on = self.protocol.series, np.zeros(self.protocol.n, dtype=bool)
+        for curve in _curves(self.protocol):
+            is_on[curve.trials] = True
+        share = np.bincount(series, weights=is_on) / np.bincount(series)
+        return np.asarray(share[series] > 0.5)
+
+    def parts(self) -> "tuple[LaxityCurves | None, dict[str, LaxityCurves]]":
+        """All trials that make up load curves, if any, and by its words each other experiment.
+
+        States of the knee are apart from one another too.
+        """
+        is_on, series = self.on_curves(), self.protocol.series
+        others = {}
+        for x in np.unique(series[~is_on]):
+            trials = np.flatnonzero((series == x) & ~is_on)
+            words = ", ".join(series_words(self.protocol, int(trials[0])))
+            others[words] = self.select(trials)
+        return self.select(np.flatnonzero(is_on)) if is_on.any() else None, others
+
+
+def _curves(protocol: Protocol) -> tuple[Curve, ...]:
+    """Load curves of the trials as figures show them."""
+    return load_curves(as_shown(protocol))
+
 
 def along_load_figure(curves: LaxityCurves) -> Figure | None:
     """The coordinate along each load against that load, a row a load and a column an angle.
@@ -63,7 +114,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     Dots are measured, their bars two standard deviations; None where no angle has three loads of
     one kind.
     """
-    cells = _least_combined(curves.protocol)
+    cells = _least_combined(curves)
     if not cells:
         return None
     rows = sorted({axis for axis, _ in cells})
@@ -79,7 +130,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
                 axes.set_visible(False)
                 continue
             _draw(axes, curves, cells[axis, setting], coordinate)
-            axes.set_xlabel(label(LOADS[axis]), fontsize=SMALL + 1)
+            axes.set_xlabel(load_label(axis), fontsize=SMALL + 1)
             if row == 0:
                 axes.set_title(_title(curves.protocol, setting), fontsize=10)
         grid[row, 0].set_ylabel(label(COORDINATES[coordinate]), fontsize=SMALL + 1)
@@ -90,7 +141,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
 
 def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
     """Every coordinate along every load curve, a column a curve; None where there is none."""
-    cells = _least_combined(curves.protocol)
+    cells = _least_combined(curves)
     if not cells:
         return None
     figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
@@ -99,41 +150,185 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
         for row in range(len(COORDINATES)):
             _draw(grid[row, column], curves, curve, row)
         grid[0, column].set_title(_title(curves.protocol, setting), fontsize=SMALL + 1)
-        grid[-1, column].set_xlabel(label(LOADS[axis]), fontsize=SMALL)
+        grid[-1, column].set_xlabel(load_label(axis), fontsize=SMALL)
     for row, coordinate in enumerate(COORDINATES):
         grid[row, 0].set_ylabel(label(coordinate), fontsize=SMALL)
     legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=9)
     return figure
 
 
-def by_flexion_figure(curves: LaxityCurves) -> Figure:
-    """Every coordinate of every trial against flexion, for trials that make up no load curves.
+# Of as many angles each has a tick; of more combinations of loads those with the most trials.
+MOST_TICKS, MOST_COLUMNS = 8, 6
+ALONG_GROUND = (COLOURS[4], 0.13)
 
-    Lines join what was measured to what a model has for the same trial.
+
+class _Way(NamedTuple):
+    """How a direction of load is drawn, and the sign that stands before its name."""
+
+    sign: str
+    marker: str
+    line: str
+    is_filled: bool = True
+
+
+# Two directions of each load, then further combinations.
+WAYS = (
+    _Way("●", "o", "-"),
+    _Way("○", "o", "--", is_filled=False),
+    _Way("■", "s", "-."),
+    _Way("□", "s", ":", is_filled=False),
+)
+WITHOUT_LOAD = _Way("×", "x", ":")
+LOST = "no equilibrium"
+
+
+def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
+    """Every coordinate against flexion, a column a load and both of its directions in one panel.
+
+    For trials that make up no load curves. Dots are measured, their bars two standard deviations;
+    lines are simulated, and break where there is no equilibrium. Above a panel stands the error of
+    what is simulated. A coordinate that moves along the load has a tinted ground.
     """
-    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
-    grid = figure.subplots(2, 3, sharex=True)
-    flexion = curves.protocol.flexion_deg
-    for i, (axes, coordinate) in enumerate(zip(grid.flat, COORDINATES, strict=False)):
-        for k, (name, values) in enumerate(curves.simulated.items()):
-            axes.plot(
-                flexion, values[:, i], MARKERS[k], color=COLOURS[k], markersize=5.0,
-                markerfacecolor="none", label=name,
+    shown = as_shown(curves.protocol)
+    whole = _load_columns(shown)
+    kept = sorted(whole, key=lambda x: -sum(map(len, whole[x].values())))[:MOST_COLUMNS]
+    columns = {k: x for k, x in whole.items() if k in kept}
+    rows = [i for i in range(len(COORDINATES)) if _is_drawn(curves, i)]
+    size = (1.4 + 2.5 * len(columns), 1.3 + 1.5 * len(rows))
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex=True, sharey="row")
+    for column, (acting, directions) in enumerate(columns.items()):
+        along = [COORDINATES.index(ALONG[LOADS[x]]) for x in acting]
+        heads = []
+        for k, (words, trials) in enumerate(directions.items()):
+            way = WITHOUT_LOAD if words == UNLOADED else WAYS[k % len(WAYS)]
+            heads.append(f"{way.sign} {words}")
+            for axes, i in zip(grid[:, column], rows, strict=True):
+                _draw_way(axes, curves, trials, way, i)
+        for axes, i in zip(grid[:, column], rows, strict=True):
+            own = np.concatenate(list(directions.values()))
+            axes.text(
+                1.0, 1.02, _error_words(curves, own, i), transform=axes.transAxes, ha="right",
+                va="bottom", fontsize=SMALL - 1,
             )  # fmt: skip
-            if curves.measured is not None:
-                ends = curves.measured[:, i], values[:, i]
-                axes.vlines(flexion, *ends, color=COLOURS[k], linewidth=0.7)
-        if curves.measured is not None:
-            axes.plot(
-                flexion, curves.measured[:, i], "o", color=BLACK, markersize=3.0, label="measured"
-            )
-        axes.set_ylabel(label(coordinate), fontsize=SMALL + 1)
-        axes.set_xlabel("flexion [deg]", fontsize=SMALL + 1)
-        axes.tick_params(labelsize=SMALL, labelbottom=True)
-        bare(axes)
-    grid.flat[-1].remove()
-    legend_below(figure, *grid.flat[0].get_legend_handles_labels(), columns=9)
+            axes.tick_params(labelsize=SMALL)
+            bare(axes)
+            if i in along:
+                axes.set_facecolor(ALONG_GROUND)
+        grid[0, column].set_title("\n".join(heads), fontsize=SMALL + 1, loc="left", pad=14.0)
+        grid[-1, column].set_xlabel("flexion [deg]", fontsize=SMALL + 1)
+    angles = np.unique(shown.flexion_deg)
+    if angles.size <= MOST_TICKS:
+        grid[0, 0].set_xticks(angles)
+    for axes, i in zip(grid[:, 0], rows, strict=True):
+        axes.set_ylabel(wrapped(label(COORDINATES[i]), 18), fontsize=SMALL + 1)
+    figure.align_ylabels(grid[:, 0].tolist())
+    shares = f"{len(columns)} of {len(whole)} combinations of loads"
+    titles = [x for x in (title, shares * (len(whole) > len(columns))) if x]
+    if titles:
+        figure.suptitle(", ".join(titles), fontsize=SMALL + 2)
+    legend_below(figure, _keys(curves), columns=4)
     return figure
+
+
+def _load_columns(shown: Protocol) -> dict[tuple[int, ...], dict[str, IntArray]]:
+    """By the loads that act together, the trials of each direction in the order of flexion.
+
+    The positive direction stands first. Trials without load are in every column.
+    """
+    found: dict[tuple[int, ...], dict[tuple[float, ...], list[int]]] = {}
+    for trial, loads in enumerate(shown.loads):
+        acting = tuple(np.flatnonzero(loads).tolist())
+        found.setdefault(acting, {}).setdefault(tuple(np.sign(loads).tolist()), []).append(trial)
+    unloaded = found.pop((), {})
+
+    def ordered(trials: Sequence[int]) -> IntArray:
+        return np.array(trials)[np.argsort(shown.flexion_deg[trials], kind="stable")]
+
+    neutral = dict(zip([UNLOADED], map(ordered, unloaded.values()), strict=False))
+    columns = {}
+    for acting, directions in sorted(found.items()):
+        named = {}
+        for _, trials in sorted(directions.items(), reverse=True):
+            sizes = np.median(shown.loads[trials], axis=0)
+            words = ", ".join(loads_words(sizes, "{what} {size:.3g} {unit}", is_short=True))
+            named[wrapped(words, 24)] = ordered(trials)
+        columns[acting] = named | neutral
+    return columns or {(): neutral}
+
+
+def _is_drawn(curves: LaxityCurves, i: int) -> bool:
+    """Whether there is anything of a coordinate."""
+    return any(np.isfinite(x[:, i]).any() for x in _drawn_values(curves))
+
+
+def _drawn_values(curves: LaxityCurves) -> list[Array]:
+    measured = [] if curves.measured is None else [curves.measured]
+    return [*curves.simulated.values(), *measured]
+
+
+def _draw_way(axes: Axes, curves: LaxityCurves, trials: IntArray, way: _Way, i: int) -> None:
+    """A coordinate of the trials of one direction of load."""
+    flexion = curves.protocol.flexion_deg[trials]
+    if curves.band is not None:
+        low, high = curves.band[1][:, trials, i]
+        axes.vlines(flexion, low, high, color=ALL_FITS, alpha=0.5, linewidth=6.0)
+    for k, values in enumerate(curves.simulated.values()):
+        axes.plot(
+            flexion, values[trials, i], way.line, marker=way.marker, markersize=2.0,
+            color=COLOURS[k], linewidth=1.4,
+        )  # fmt: skip
+    if curves.measured is None:
+        return
+    measured = curves.measured[trials, i]
+    bars = None if curves.sd is None else 2.0 * curves.sd[trials, i]
+    axes.errorbar(
+        flexion, measured, yerr=bars, fmt=way.marker, color=MEASURED, markersize=3.5,
+        markerfacecolor=MEASURED if way.is_filled else "none", elinewidth=0.8,
+    )  # fmt: skip
+    lost = _is_lost(curves)[trials, i]
+    axes.plot(flexion[lost], measured[lost], "x", color=COLOURS[1], markersize=8.0, zorder=5)
+
+
+def _is_lost(curves: LaxityCurves) -> BoolArray:
+    """Which measured values have none in the first model, shape ``(n, 5)``."""
+    if curves.measured is None or not curves.simulated:
+        return np.zeros((curves.protocol.n, len(COORDINATES)), dtype=bool)
+    fit = next(iter(curves.simulated.values()))
+    return np.asarray(np.isnan(fit) & ~np.isnan(curves.measured))
+
+
+def _error_words(curves: LaxityCurves, trials: IntArray, i: int) -> str:
+    """The root-mean-square error of every model in a panel; empty without data."""
+    if curves.measured is None:
+        return ""
+    errors = []
+    for values in curves.simulated.values():
+        away = values[trials, i] - curves.measured[trials, i]
+        away = away[np.isfinite(away)]
+        errors.append(f"{np.sqrt(np.mean(away**2)):.1f}" if away.size else "-")
+    unit = unit_of(COORDINATES[i])
+    return f"RMSE {', '.join(errors)} {unit}" if set(errors) - {"-"} else ""
+
+
+def _keys(curves: LaxityCurves) -> list[Artist]:
+    """What the colours mean, once for both directions of all loads."""
+    keys: list[Artist] = [
+        Line2D([], [], color=COLOURS[k], linewidth=1.4, label=name)
+        for k, name in enumerate(curves.simulated)
+    ]
+    if curves.band is not None:
+        keys.append(Line2D([], [], color=ALL_FITS, alpha=0.5, linewidth=6.0, label=curves.band[0]))
+    if curves.measured is not None:
+        bars = "" if curves.sd is None else " ± 2 sd"
+        dots = Line2D([], [], color=MEASURED, linestyle="", marker="o", markersize=3.5)
+        dots.set_label(f"measured{bars}")
+        keys.append(dots)
+        if _is_lost(curves).any():
+            keys.append(
+                Line2D([], [], color=COLOURS[1], linestyle="", marker="x", markersize=8, label=LOST)
+            )
+    return keys
 
 
 # Number of the experiment and state of trials, and their flexion angle.
@@ -147,11 +342,16 @@ def _title(protocol: Protocol, setting: Setting) -> str:
     return "\n".join([f"{angle:g} deg flexion", *series_words(protocol, trial)])
 
 
-def _least_combined(protocol: Protocol) -> dict[tuple[int, Setting], Curve]:
-    """By load and setting its curve; of several the one with the least of the other loads."""
+def _least_combined(curves: LaxityCurves) -> dict[tuple[int, Setting], Curve]:
+    """By load and setting its curve; of several the one with the least of the other loads.
+
+    None of trials that were not measured and have no equilibrium in any model.
+    """
     cells: dict[tuple[int, Setting], tuple[float, Curve]] = {}
-    series = protocol.series
+    series, protocol = curves.protocol.series, as_shown(curves.protocol)
     for curve in load_curves(protocol):
+        if not any(np.isfinite(x[curve.trials]).any() for x in _drawn_values(curves)):
+            continue
         loads = protocol.loads[curve.trials]
         axis = int(np.argmax(np.ptp(loads, axis=0)))
         first = curve.trials[0]
@@ -167,7 +367,7 @@ def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
     if curves.band is not None:
         name, (low, high) = curves.band
         axes.fill_between(
-            curve.load, low[trials, i], high[trials, i], color=COLOURS[5], alpha=0.4,
+            curve.load, low[trials, i], high[trials, i], color=ALL_FITS, alpha=0.4,
             linewidth=0, label=name,
         )  # fmt: skip
     for k, (name, values) in enumerate(curves.simulated.items()):
@@ -177,7 +377,7 @@ def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
     if curves.measured is not None:
         bars = None if curves.sd is None else 2.0 * curves.sd[trials, i]
         axes.errorbar(
-            curve.load, curves.measured[trials, i], yerr=bars, fmt="o", color=BLACK,
+            curve.load, curves.measured[trials, i], yerr=bars, fmt="o", color=MEASURED,
             markersize=3.0, elinewidth=0.8, label="measured",
         )  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))

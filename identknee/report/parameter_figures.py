@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -15,18 +15,22 @@ from identknee.identify.information import Information
 from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
 from identknee.report.canvas import Figure
 from identknee.report.figures import (
+    ALL_FITS,
     BLACK,
     COLOURS,
+    FIT,
     GREY,
     MARKERS,
     SMALL,
     STYLES,
     bare,
     legend_below,
+    number,
+    wrapped,
 )
 from identknee.runs import words
 from identknee.runs.arrays import Array
-from identknee.runs.words import label_without_unit
+from identknee.runs.words import label_without_unit, listed
 
 # Nested sets beside the profile's own.
 LEVELS = (0.5, 0.8, 0.9)
@@ -47,12 +51,12 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
     profiles
         Profiles of any quantities.
     """
-    figure, panels = _panels(len(profiles), (2.5, 2.3), (0.5, 0.0))
+    figure, panels = _panels(len(profiles), (2.5, 2.7), (0.5, 0.4))
     for axes, profile in zip(panels, profiles, strict=False):
         top = HEADROOM * profile.threshold
         for branch in np.unique(profile.branches):
             here = profile.branches == branch
-            marker, colour = MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)]
+            marker, colour, _ = _branch_look(int(branch))
             rows = np.column_stack([profile.values, profile.deltas, profile.slopes])[here]
             places, heights = [rows[:1, 0]], [rows[:1, 1]]
             for left, right in pairwise([(float(a), float(b), float(c)) for a, b, c in rows]):
@@ -68,7 +72,7 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
         axes.axhline(profile.threshold, color=GREY, linestyle="--", linewidth=0.9)
         for interval in profile.intervals:
             low, high = _drawn(interval, profile)
-            axes.axvspan(low, high, color=COLOURS[5], alpha=0.18, linewidth=0)
+            axes.axvspan(low, high, color=ALL_FITS, alpha=0.18, linewidth=0)
             for end, place, turn in ((interval[0], low, -1), (interval[1], high, 1)):
                 if end is None:
                     axes.annotate(
@@ -83,12 +87,33 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
         name = label_without_unit(quantity)
         unit = f" [{profile.unit}]" if profile.unit else ""
         where = f"\nin {trial}" if at else ""
-        axes.set_title(f"{name}{where}{unit}\n{verdict}", fontsize=8)
+        head = [f"{name}{where}{unit}", wrapped(verdict, 30)]
+        axes.set_title("\n".join(head), fontsize=8)
         bare(axes)
         axes.tick_params(labelsize=7)
     for axes in panels[::COLUMNS]:
         axes.set_ylabel("rise of deviance")
+    levels = listed(f"{100 * x:g} %" for x in sorted({x.level for x in profiles}))
+    branches = np.unique(np.concatenate([x.branches for x in profiles])).tolist()
+    handles: list[Artist] = [
+        Line2D([], [], color=colour, marker=marker, markersize=3.5, linewidth=1.2, label=name)
+        for branch in branches
+        for marker, colour, name in [_branch_look(branch)]
+    ]
+    handles += [
+        Line2D(
+            [], [], color=GREY, linestyle="--", linewidth=0.9, label=f"limit of the {levels} set"
+        ),
+        Line2D([], [], color=ALL_FITS, alpha=0.4, linewidth=6.0, label="values not excluded"),
+    ]
+    legend_below(figure, handles, columns=4, fontsize=SMALL)
     return figure
+
+
+def _branch_look(branch: int) -> tuple[str, str, str]:
+    """Marker, colour and name of a path of a profile; the first is that of the best fit."""
+    name = "from the best fit" if branch == 0 else f"from local optimum {branch + 1}"
+    return MARKERS[branch % len(MARKERS)], COLOURS[branch % len(COLOURS)], name
 
 
 def intervals_figure(
@@ -144,7 +169,7 @@ def intervals_figure(
             axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
             verdict = profile.verdict_words
             axes.annotate(
-                f"{profile.optimum_value:.3g} {profile.unit}, {verdict}",
+                f"{words.amount(profile.optimum_value, profile.unit)}, {verdict}",
                 (1.01, row),
                 xycoords=("axes fraction", "data"),
                 va="center",
@@ -152,7 +177,7 @@ def intervals_figure(
             )
             true = (truth or {}).get(profile.name)
             if true is not None:
-                axes.plot(true, row, "x", color=COLOURS[1], markersize=6, label="truth", zorder=4)
+                axes.plot(true, row, "x", color=BLACK, markersize=6, label="truth", zorder=4)
         axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
         axes.set_ylim(len(group) - 0.5, -0.5)
         axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
@@ -410,7 +435,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
 def eigenvectors_figure(found: Information) -> Figure:
     """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
     n = found.theta.size
-    figure = Figure(figsize=(2.6 + 0.62 * n, 1.6 + 0.42 * n), layout="constrained")
+    figure = Figure(figsize=(2.6 + 0.62 * n, 2.2 + 0.42 * n), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
     for i in range(n):
@@ -420,7 +445,7 @@ def eigenvectors_figure(found: Information) -> Figure:
                 axes.text(
                     j,
                     i,
-                    f"{share:+.2f}".replace("0.", "."),
+                    number(share, "+.2f").replace("0.", "."),
                     ha="center",
                     va="center",
                     fontsize=SMALL,
@@ -437,9 +462,6 @@ def eigenvectors_figure(found: Information) -> Figure:
     axes.set_xlabel("eigenvalue, stiff to sloppy")
     figure.colorbar(image, ax=axes, label="share of one scaled unit")
     return figure
-
-
-SET_COLOURS = "cividis"
 
 
 def sets_figure(
@@ -474,20 +496,20 @@ def sets_figure(
         trials = np.arange(1, values.shape[1] + 1)
         low, high = values.min(axis=0), values.max(axis=0)
         axes.fill_between(
-            trials, low, high, step="mid", color=COLOURS[5], alpha=0.5, linewidth=0, label="all"
+            trials, low, high, step="mid", color=ALL_FITS, alpha=0.5, linewidth=0, label="all"
         )
-        for k, values_of_set in enumerate(values[:2]):
+        for k, values_of_set in enumerate(values[:2], start=1):
             axes.plot(trials, values_of_set, color=COLOURS[k], linewidth=1.0)
-        axes.axhline(0.0, color=BLACK, linewidth=0.8)
+        axes.axhline(0.0, color=FIT, linewidth=1.0)
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.set_xlabel("trial")
-        axes.set_title(f"{name}\nminus {origin}", fontsize=SMALL + 1)
+        axes.set_title(f"{wrapped(name, 18)}\nminus {origin}", fontsize=SMALL + 1)
         bare(axes)
     handles = [
-        Line2D([], [], color=COLOURS[0], linewidth=2, label="one of the two sets farthest apart"),
-        Line2D([], [], color=COLOURS[1], linewidth=2, label="the other"),
-        Line2D([], [], color=BLACK, marker="o", label="fit"),
-        Line2D([], [], color=COLOURS[5], alpha=0.5, linewidth=6, label="all sets"),
+        Line2D([], [], color=COLOURS[1], linewidth=2, label="one of the two sets farthest apart"),
+        Line2D([], [], color=COLOURS[2], linewidth=2, label="the other"),
+        Line2D([], [], color=FIT, marker="o", label="fit"),
+        Line2D([], [], color=ALL_FITS, alpha=0.5, linewidth=6, label="all sets"),
     ]
     legend_below(figure, handles, columns=4)
     return figure
@@ -519,15 +541,16 @@ def ranges_figure(
         widths = values[:, 1] - values[:, 0]
         # Bars would pin the axis to their ends, and hide a mark that stands there.
         axes.use_sticky_edges = False
-        axes.barh(y, widths, 0.86 * thickness, values[:, 0], color=COLOURS[k], label=name)
+        colour = (ALL_FITS, *COLOURS[1:])[k]
+        axes.barh(y, widths, 0.86 * thickness, values[:, 0], color=colour, label=name)
     for row, value in zip(rows, at_fit, strict=True):
-        axes.plot([value, value], [row - 0.42, row + 0.42], color=BLACK, linewidth=1.4)
+        axes.plot([value, value], [row - 0.42, row + 0.42], color=FIT, linewidth=1.8)
     axes.set_yticks(rows, list(names), fontsize=SMALL)
     axes.set_ylim(n - 0.4, -0.6)
     bare(axes, grid="x")
     axes.set_xlabel(unit)
     handles, _ = axes.get_legend_handles_labels()
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.4, label="fit"))
+    handles.append(Line2D([], [], color=FIT, linewidth=1.8, label="fit"))
     legend_below(figure, handles, columns=4)
     return figure
 
@@ -537,18 +560,15 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
     low, high = sets.min(axis=0), sets.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
     places = np.arange(len(parameters))
-    shades = colormaps[SET_COLOURS](np.linspace(0.15, 0.9, len(sets)))
-    # Ordered by the first parameter, so that its axis reads as a colour scale.
-    ranks = np.argsort(np.argsort(sets[:, 0]))
-    for rank, theta in zip(ranks[2:], sets[2:], strict=True):
-        axes.plot(places, (theta - low) / width, color=shades[rank], linewidth=0.6, alpha=0.6)
-    for k, theta in enumerate(sets[:2]):
+    for theta in sets[2:]:
+        axes.plot(places, (theta - low) / width, color=ALL_FITS, linewidth=0.8, alpha=0.6)
+    for k, theta in enumerate(sets[:2], start=1):
         axes.plot(places, (theta - low) / width, color=COLOURS[k], linewidth=2.2)
-    axes.plot(places, (fit - low) / width, color=BLACK, marker="o", markersize=4)
+    axes.plot(places, (fit - low) / width, color=FIT, marker="o", markersize=4)
     for place, smallest, largest in zip(places.tolist(), low, high, strict=True):
         axes.axvline(place, color=GREY, linewidth=0.6, zorder=0)
-        axes.text(place, -0.04, f"{smallest:.3g}", ha="center", va="top", fontsize=SMALL)
-        axes.text(place, 1.03, f"{largest:.3g}", ha="center", va="bottom", fontsize=SMALL)
+        axes.text(place, -0.04, number(smallest), ha="center", va="top", fontsize=SMALL)
+        axes.text(place, 1.03, number(largest), ha="center", va="bottom", fontsize=SMALL)
     axes.set_xticks(places, [_on_three_lines(name) for name in parameters], fontsize=SMALL)
     axes.tick_params(axis="x", pad=14, length=0)
     axes.set_yticks([])

@@ -88,7 +88,7 @@ def write_page(
     """What was written of these results; the page is at `page`."""
     prepare_folder(page.parent)
     remarks: list[str] = []
-    knees = {x.results[0].subject_digest: _knee(x, remarks, knee) for x in by_subject(results)}
+    knees = {x.results[0].subject_digest: knee_of(x, remarks, knee) for x in by_subject(results)}
     drawn = [replace(x, knee=knees.get(x.subject_digest)) for x in results]
     scenes = {
         digest: scene
@@ -108,7 +108,7 @@ def write_page(
     }
 
 
-def _knee(findings: Findings, remarks: list[str], knee: Knee | None) -> Knee | None:
+def knee_of(findings: Findings, remarks: list[str], knee: Knee | None = None) -> Knee | None:
     """The subject as it was when the results were made; without it a remark says why."""
     name = findings.subject
     try:

@@ -72,7 +72,7 @@ def label(name: str) -> str:
     Examples
     --------
     >>> label("ACL.reference_strain_pct"), label("varus_deg"), label("x.total")
-    ('ACL reference strain [%]', 'varus [deg]', 'x total')
+    ('ACL reference strain [%]', 'varus angulation [deg]', 'x total')
     >>> label("contact.medial_N@a")
     'medial contact force [N] in a'
     """
@@ -80,9 +80,14 @@ def label(name: str) -> str:
     words, _, unit = quantity.rpartition("_")
     if not words:
         return name.replace(".", " ")
-    words = contact_words(quantity) or words.replace(".", " ").replace("_", " ")
+    words = contact_words(quantity) or _plain(quantity, words)
     plain = f"{words} [{UNITS.get(unit, unit)}]"
     return f"{plain} in {trial}" if at else plain
+
+
+def _plain(quantity: str, words: str) -> str:
+    """A quantity without its unit, its parts as words."""
+    return MOTIONS.get(quantity) or words.replace(".", " ").replace("_", " ")
 
 
 def listed_first(names: Sequence[str], most: int) -> str:
@@ -134,8 +139,7 @@ def label_without_unit(name: str) -> str:
     ('ACL reference strain', 'ACL tension in a')
     """
     quantity, at, trial = name.partition("@")
-    words = (quantity.rpartition("_")[0] or quantity).replace(".", " ").replace("_", " ")
-    words = contact_words(quantity) or words
+    words = contact_words(quantity) or _plain(quantity, quantity.rpartition("_")[0] or quantity)
     return f"{words} in {trial}" if at else words
 
 

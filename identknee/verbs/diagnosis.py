@@ -45,7 +45,7 @@ from identknee.diagnosis.misfit import CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, LineFinding, Pull
 from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
 from identknee.identify.laplace import Interval
-from identknee.laxity.protocol import zero_of_added_trials
+from identknee.laxity.protocol import shown_flexion, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.model.effects.effect import OF, Effect
 from identknee.model.laxity_model import LaxityModel
@@ -328,7 +328,9 @@ class AddedVariable:
     score: float = entry("Its score", unit="1")
     expected: Array = array("Expected of the cause, in units of noise", "value")
     left: Array = array("Left of the data, in units of noise", "value")
-    flexion_deg: Array = array("Flexion of the trial", "value", unit="deg")
+    flexion_deg: Array = array(
+        "Flexion of the trial; angles that a rig reads a little apart are one", "value", unit="deg"
+    )
 
 
 @declared
@@ -887,7 +889,7 @@ def _added_variable(found: Investigation) -> AddedVariable:
     candidate = [*scored, *step.scores.candidates][0]
     signature = step.test.signature(candidate.name, candidate.variant)
     measured = found.laxity.is_measured
-    flexion = np.broadcast_to(found.laxity.protocol.flexion_deg[:, None], measured.shape)
+    flexion = np.broadcast_to(shown_flexion(found.laxity.protocol)[:, None], measured.shape)
     return AddedVariable(
         name=candidate.name,
         variant=candidate.variant,

@@ -1,26 +1,99 @@
 """What is wrong with a figure for those who look at it: measured from what is drawn."""
 
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import replace
 from importlib.resources import files
-from itertools import combinations
+from itertools import combinations, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
-from identknee.report.figures import without_mathtext
+from identknee.laxity.table import read_laxity
+from identknee.report.figures import ALL_FITS, FIT, MEASURED, without_mathtext
+from identknee.report.page.page import report_drawings
+from identknee.report.page.results import by_subject, found_results
+from identknee.report.presenter import presenter_of
+from identknee.report.write_report import knee_of
 
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5
 # What a page leaves beside a figure, and at most for it [px].
 PAGE_MARGINS, WIDEST = 40.0, 992.0
-_CODE_NAME = re.compile(r"[a-z]_(?:kN|pct|mm|deg|Nm|N)\b")
+_CODE_NAME = re.compile(r"[A-Za-z]\w*_\w")
+_HYPHEN_FOR_MINUS = re.compile(r"(?:^|[\s(\[,])-\.?\d")
+# Letters of a line, and entries of a legend, that still can be read at a glance.
+MOST_LETTERS, MOST_ENTRIES = 90, 14
+# What is drawn in one colour in every figure, by how its entry in a legend begins.
+COLOUR_OF = {"measured": MEASURED, "fit": FIT, "model": FIT, "predicted by the fit": FIT}
+# Greys are frames, bands of noise and marks that the caption explains.
+LEAST_SATURATION = 0.15
+
+
+def faults(figure: Figure, names: Collection[str] = ()) -> list[str]:
+    """All that is wrong with a figure, a line each; none where it can be shown.
+
+    Parameters
+    ----------
+    figure
+        Any figure.
+    names
+        Names that the user gave, of trials and ligaments, which may look like code.
+    """
+    renderer = drawn(figure)
+    if not any(x.get_visible() for x in figure.axes):
+        return ["empty: there is no panel"]
+    return [
+        *(f"empty: {x}" for x in empty_axes(figure, renderer)),
+        *(f"clipped: {x!r}" for x in clipped(figure, renderer)),
+        *(f"overlapping: {a!r} and {b!r}" for a, b in overlapping(figure, renderer)),
+        *(f"named as in code: {x!r}" for x in code_names(figure, names)),
+        *(f"hyphen for a minus: {x!r}" for x in hyphens(figure, names)),
+        *(f"too long: {x!r}" for x in long_lines(figure)),
+        *(f"twice: {x}" for x in duplicates(figure)),
+        *(f"in another colour: {x}" for x in miscoloured(figure)),
+        *(f"in no legend: {x}" for x in unexplained(figure)),
+    ]
+
+
+def faults_of(folder: Path) -> dict[str, list[str]]:
+    """All that is wrong with the figures of results in a folder, by the name of the figure.
+
+    Those of the page, and those that commands leave beside their results.
+    """
+    results, names = [], set[str]()
+    for found in by_subject(found_results(folder)):
+        knee = knee_of(found, [])
+        for x in found.results:
+            results.append(replace(x, knee=knee))
+            names |= set(x.summary.get("trials_used") or ())
+            names |= set(x.protocol.trials if x.protocol is not None else ())
+            for table in x.tables:
+                names |= _trials_of(table)
+    figures = {name: x.figure for name, x in report_drawings(results)}
+    for x in results:
+        if x.knee is not None:
+            pictures = presenter_of(x.answer).pictures(x.answer, x.knee)
+            figures |= {f"{x.folder.name}-picture-{name}": y for name, y in pictures.items()}
+    return {name: faults(x, names) for name, x in figures.items()}
+
+
+def _trials_of(table: str) -> set[str]:
+    """Names of the trials of a named table or a file; none where it is no more."""
+    try:
+        return set(read_laxity(table).protocol.trials)
+    except ValueError:
+        return set()
 
 
 def drawn(figure: Figure) -> RendererAgg:
@@ -72,9 +145,129 @@ def empty_axes(figure: Figure, renderer: RendererAgg) -> list[str]:
     ]
 
 
-def code_names(figure: Figure) -> list[str]:
-    """Texts that name a parameter or a coordinate as files do."""
-    return [x.get_text() for x in texts(figure) if _CODE_NAME.search(x.get_text())]
+def code_names(figure: Figure, names: Collection[str] = ()) -> list[str]:
+    """Texts that name a parameter, a coordinate or a cause as files do."""
+    return [x for x in _without(figure, names) if _CODE_NAME.search(x)]
+
+
+def hyphens(figure: Figure, names: Collection[str] = ()) -> list[str]:
+    """Texts with a hyphen where a number has a minus sign elsewhere."""
+    return [x for x in _without(figure, names) if _HYPHEN_FOR_MINUS.search(x)]
+
+
+def long_lines(figure: Figure) -> list[str]:
+    """Lines of text that are too long, and legends with too many entries."""
+    lines = [y for x in texts(figure) for y in x.get_text().splitlines()]
+    found = [x for x in lines if len(x) > MOST_LETTERS]
+    n = [len(x.get_texts()) for x in legends(figure)]
+    return [*found, *(f"a legend of {x} entries" for x in n if x > MOST_ENTRIES)]
+
+
+def legends(figure: Figure) -> list[Legend]:
+    """Those of the figure and of its panels."""
+    own = [x.get_legend() for x in figure.axes if x.get_visible()]
+    return [*figure.legends, *(x for x in own if x is not None)]
+
+
+def duplicates(figure: Figure) -> list[str]:
+    """Entries of a legend, labels of an axis and whole panels that come twice."""
+    found = []
+    for legend in legends(figure):
+        found += _repeated("entry", [x.get_text() for x in legend.get_texts()])
+    seen = [x for x in figure.axes if x.get_visible() and x.axison]
+    for axes in seen:
+        for k, axis in enumerate((axes.xaxis, axes.yaxis)):
+            low, high = sorted(axis.get_view_interval())
+            ticks = [(float(x.get_loc()), x.label1.get_text()) for x in axis.get_major_ticks()]
+            named = [(at, word) for at, word in ticks if low <= at <= high and word]
+            lines = [np.asarray(x.get_xydata(), float)[:, k] for x in axes.lines]
+            between = [float(x[0]) for x in lines if x.size and np.ptp(x) == 0.0]
+            # Groups of a map repeat their columns, with a line between the groups.
+            found += [
+                f"the label {word!r}"
+                for (at, word), (then, other) in pairwise(named)
+                if word == other and not any(at < x < then for x in between)
+            ]
+    panels = [repr(y) for x in seen if any((y := _content(x))[1:])]
+    return [*found, *("a panel" for n in Counter(panels).values() if n > 1)]
+
+
+def _content(axes: Axes) -> tuple[Any, ...]:
+    """What a panel shows: its words and all that is drawn."""
+    words = axes.get_title(), axes.get_title(loc="left"), axes.get_xlabel(), axes.get_ylabel()
+    lines = [np.round(np.asarray(x.get_xydata(), float), 9).tolist() for x in axes.lines]
+    texts_drawn = [x.get_text() for x in axes.texts]
+    placed = [x.get_path().transformed(x.get_patch_transform()).vertices for x in axes.patches]
+    patches = [np.round(np.asarray(x, float), 9).tolist() for x in placed]
+    arrays = [np.asarray(x.get_array()).tolist() for x in axes.images]
+    return words, lines, texts_drawn, patches, arrays, len(axes.collections)
+
+
+def miscoloured(figure: Figure) -> list[str]:
+    """Entries of legends for what has another colour in other figures."""
+    found = []
+    for legend in legends(figure):
+        for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
+            word = text.get_text()
+            own = [y for x, y in COLOUR_OF.items() if word == x or word.startswith(f"{x} ")]
+            colour = handle.get_color() if isinstance(handle, Line2D) else None
+            if own and isinstance(colour, str) and to_hex(colour) != to_hex(own[0]):
+                found.append(f"{word} ({to_hex(colour)})")
+    return found
+
+
+def unexplained(figure: Figure) -> list[str]:
+    """Colours of lines and marks of which no legend says what they are, where there are several.
+
+    Rows that have a name beside them need no legend.
+    """
+    rows = {float(y) for x in figure.axes if _names_rows(x) for y in x.get_yticks()}
+    used = {
+        to_hex(colour)
+        for axes in figure.axes
+        if axes.get_visible()
+        for x in axes.lines
+        if (y := np.asarray(x.get_ydata(), float)).size and np.isfinite(y).any()
+        if _is_colour(colour := x.get_color())
+        and not (set(y.tolist()) <= rows and len(set(y)) == 1)
+    }
+    if len(used) < 2:
+        return []
+    said = {to_hex(ALL_FITS)}
+    for legend in legends(figure):
+        for x in legend.legend_handles:
+            own = getattr(x, "get_color", None) or getattr(x, "get_facecolor", None)
+            said |= {to_hex(y) for y in [own() if own else MEASURED] if isinstance(y, str | tuple)}
+            if not isinstance(x, Line2D) and own:
+                said |= {to_hex(y) for y in np.atleast_2d(np.asarray(own(), dtype=object))[:1]}
+    return sorted(used - said)
+
+
+def _names_rows(axes: Axes) -> bool:
+    words = [x.get_text() for x in axes.get_yticklabels()]
+    return any(words) and not any(x.strip("−").replace(".", "").isdigit() for x in words)
+
+
+def _is_colour(colour: Any) -> bool:
+    rgb = to_rgb(colour)
+    return max(rgb) - min(rgb) > LEAST_SATURATION
+
+
+def _repeated(kind: str, words: list[str]) -> list[str]:
+    return [f"the {kind} {x!r}" for x, n in Counter(words).items() if n > 1]
+
+
+def _without(figure: Figure, names: Collection[str]) -> list[str]:
+    """All texts, the user's own names taken out of them; formulas of axes too."""
+    longest = sorted(names, key=len, reverse=True)
+    found = []
+    for x in texts(figure):
+        word = x.get_text()
+        for name in longest:
+            word = word.replace(name, "NAME")
+        if "\\mathdefault" not in word:
+            found.append(word)
+    return found
 
 
 def smallest_text(svg: str, width: float) -> float:

@@ -31,6 +31,7 @@ MODULES = {
     "fuzz": "verify_fuzz",
     "conventions": "verify_conventions",
     "rows": "verify_rows",
+    "figures": "verify_figures",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
     "verdicts": "verify_verdicts",

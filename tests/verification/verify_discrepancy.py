@@ -72,8 +72,7 @@ def _outcome(name: str, seed: int) -> dict[str, Any]:
 
 
 def _measured(laxity: ik.Laxity) -> set[str]:
-    kept = laxity.is_measured.all(axis=1)
-    return {x for x, is_kept in zip(laxity.protocol.trials, kept, strict=True) if is_kept}
+    return {laxity.protocol.trials[i] for i in np.flatnonzero(laxity.is_measured.all(axis=1))}
 
 
 def _covered(

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from math import hypot
 from typing import TYPE_CHECKING, TypeVar
 
 from typing_extensions import override
@@ -10,6 +11,8 @@ from identknee.diagnosis.advice import Advice
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.fitting import RivalState
 from identknee.diagnosis.gain import FLEXION
+from identknee.diagnosis.misfit import LEVEL
+from identknee.diagnosis.missing_line import Pull
 from identknee.diagnosis.score import Cell
 from identknee.diagnosis.verdict import Cause, Estimate, Verdict
 from identknee.identify.laplace import Interval
@@ -179,6 +182,33 @@ def _where(misfit: Misfit) -> Statement:
         tables=(table("Cells that stand out", heads, rows),),
         is_answer=True,
     )
+
+
+def _missing(pulls: Sequence[Pull]) -> Statement:
+    """All forces and moments that the model lacks, of which a picture shows the largest."""
+    most = max(pulls, key=lambda x: (x.p_value <= LEVEL, hypot(*_forces(x))))
+    heads = (
+        ("flexion", 0, "deg"),
+        "load",
+        ("anterior force", 0, "N"),
+        ("lateral force", 0, "N"),
+        ("internal moment", 1, "N·m"),
+        ("p", None),
+    )
+    rows = (
+        (x.flexion_deg, x.direction, *_forces(x), x.internal_moment_Nm, x.p_value) for x in pulls
+    )
+    return Statement(
+        question=Question.WRONG,
+        sentence=f"The largest force that the model lacks on the tibia is "
+        f"{amount(hypot(*_forces(most)), 'N')}, {_under(most.direction)} at {most.flexion_deg:g} "
+        "deg of flexion.",
+        tables=(table("Missing force and moment on the tibia", heads, rows),),
+    )
+
+
+def _forces(pull: Pull) -> tuple[float, float]:
+    return pull.anterior_force_N, pull.lateral_force_N
 
 
 def _gain(gain: GainFound) -> Statement:
@@ -364,6 +394,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             yield _change(answer)
         if (whichever := _parameters_by_explanation(answer)) is not None:
             yield whichever
+        if answer.missing_wrench and answer.verdict is not Verdict.ADEQUATE:
+            yield _missing(answer.missing_wrench)
         if answer.noise is not None:
             yield self.say(answer.noise.sentence)
         if answer.effects:
@@ -411,16 +443,17 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
             yield Drawing(
                 name="residuals",
                 figure=figure,
-                caption="Residuals of the model along every load curve (dots, with a "
-                "band of two standard deviations of the noise)"
+                caption="Residuals of the model under every load (dots, with two standard "
+                "deviations of the noise)"
                 + (", and what the cause explains of it (line)." if causes else "."),
-                description="Measured minus predicted laxity along every load curve"
+                description="Measured minus predicted laxity under every load"
                 + (f", with the part that {causes} explains." if causes else "."),
             )
-        if knee is not None and answer.missing_wrench and answer.verdict is not Verdict.ADEQUATE:
+        is_wrong = answer.verdict is not Verdict.ADEQUATE
+        if knee is not None and is_wrong and (figure := wrench_figure(answer, knee)) is not None:
             yield Drawing(
                 name="missing-wrench",
-                figure=wrench_figure(answer, knee),
+                figure=figure,
                 caption="Missing force and moment on the tibia, seen from above: arrows are "
                 "forces, arcs are moments. Grey is the range that noise alone could explain.",
                 description="Forces and moments that the model lacks, by flexion and load.",

@@ -15,6 +15,7 @@ from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.comparison import Comparison, comparison
 from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
+from identknee.report.page.loads import load_drawings
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import (
     COMPARE,
@@ -209,7 +210,7 @@ def report_drawings(results: Sequence[Result]) -> Iterator[tuple[str, Drawing]]:
         findings = subject.merged
         shown = progress(findings.results, description="drawing figures")
         pairs = ((x, y) for x in shown for y in drawings(x))
-        for result, drawing in chain(pairs, laxity_drawings(findings)):
+        for result, drawing in chain(pairs, laxity_drawings(findings), load_drawings(findings)):
             yield f"{_file_start(result)}-{drawing.name}", drawing
 
 
@@ -297,6 +298,10 @@ def _figures(findings: Findings, number: int) -> Mapping[Question, list[tuple[Ma
     found += [
         (Question.LAXITY, f"l{k}", x, x.name != "laxity-all", result.folder.name)
         for k, (result, x) in enumerate(laxity_drawings(findings))
+    ]
+    found += [
+        (Question.LAXITY, f"k{k}", x, x.name == "knee-loads", result.folder.name)
+        for k, (result, x) in enumerate(load_drawings(findings))
     ]
     placed: dict[Question, list[tuple[Markup, bool]]] = {}
     explained: dict[str, tuple[str, str]] = {}

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from identknee.laxity.protocol import Protocol
 from identknee.report.presenter import Drawing, of_type, presenter_of
@@ -16,6 +16,9 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, SUMMARY, loaded
 from identknee.verbs.registry import verb_named, verbs
+
+if TYPE_CHECKING:
+    from identknee.report.laxity_figures import LaxityCurves
 
 DEPTH, COMPARE = 2, "compare"
 REMEDY = (
@@ -185,12 +188,6 @@ def drawings(result: Result) -> tuple[Drawing, ...]:
 
 def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
     """Laxity curves of the results that compare a model with data, or else of simulations."""
-    from identknee.report.laxity_figures import (
-        all_coordinates_figure,
-        along_load_figure,
-        by_flexion_figure,
-    )
-
     fits = findings.of("fit")
     # Without causes the model of a diagnosis is that of the fits.
     diagnoses = [
@@ -203,38 +200,46 @@ def laxity_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
     for result in compared:
         beside = [x.answer for x in findings.results if x.data_digest == result.data_digest]
         curves = presenter_of(result.answer).curves(result.answer, beside)
-        if curves is None:
-            continue
-        measured, drawn = curves.measured is not None, listed(curves.simulated)
-        sources = listed([*curves.simulated, *["data"] * measured])
-        if (figure := along_load_figure(curves)) is not None:
-            bars = " with two standard deviations" * (curves.sd is not None)
-            parts = [f"dots: measured{bars}"] * measured + [f"lines: {drawn}"]
-            if curves.band is not None:
-                parts.append(f"band: {curves.band[0]}")
-            caption = f"Displacement along each load; {'; '.join(parts)}."
-            description = f"Laxity along every load at each flexion angle: {sources}."
-        else:
-            figure = by_flexion_figure(curves)
-            caption = f"Where the tibia lies in every trial; coloured: {drawn}."
-            if measured:
-                caption = (
-                    "Where the tibia lies in every trial; black: measured, coloured: "
-                    f"{drawn}. A line joins both of one trial: the longer, the worse they agree."
-                )
-            description = f"All five coordinates of every trial against flexion: {sources}."
-        yield (
-            result,
-            Drawing(name="laxity", figure=figure, caption=caption, description=description),
+        if curves is not None:
+            yield from ((result, x) for x in _drawings_of_curves(curves))
+
+
+def _drawings_of_curves(curves: "LaxityCurves") -> Iterator[Drawing]:
+    """Laxity along load curves, and by load and flexion where trials make up none."""
+    from identknee.report.laxity_figures import (
+        all_coordinates_figure,
+        along_load_figure,
+        by_load_figure,
+    )
+
+    measured, drawn = curves.measured is not None, listed(curves.simulated)
+    sources = listed([*curves.simulated, *["data"] * measured])
+    bars = " with two standard deviations" * (curves.sd is not None)
+    parts = [f"dots: measured{bars}"] * measured + [f"lines: {drawn}"]
+    if curves.band is not None:
+        parts.append(f"band: {curves.band[0]}")
+    on_curves, others = curves.parts()
+    for number, (title, other) in enumerate(others.items(), start=1):
+        yield Drawing(
+            name="laxity" if number == 1 else f"laxity-{number}",
+            figure=by_load_figure(other, title),
+            caption=f"Where the tibia lies under each load, both directions in one panel; "
+            f"{'; '.join(parts)}. Tinted ground: the coordinate along the load.",
+            description=f"All coordinates under every load against flexion: {sources}.",
         )
-        if (whole := all_coordinates_figure(curves)) is not None:
-            yield (
-                result,
-                Drawing(
-                    name="laxity-all",
-                    figure=whole,
-                    caption="All five coordinates along every load, also those it does not act "
-                    "on directly.",
-                    description=f"Five coordinates along every load: {sources}.",
-                ),
-            )
+    if on_curves is None or (along := along_load_figure(on_curves)) is None:
+        return
+    yield Drawing(
+        name="laxity-curves" if others else "laxity",
+        figure=along,
+        caption=f"Displacement along each load; {'; '.join(parts)}.",
+        description=f"Laxity along every load at each flexion angle: {sources}.",
+    )
+    if (whole := all_coordinates_figure(on_curves)) is not None:
+        yield Drawing(
+            name="laxity-all",
+            figure=whole,
+            caption="All five coordinates along every load, also those it does not act on "
+            "directly.",
+            description=f"Five coordinates along every load: {sources}.",
+        )

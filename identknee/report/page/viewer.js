@@ -10,11 +10,12 @@
   const SECONDS = 0.9; // a trial, while it plays
   const APART = -0.4; // mm; the depth of a place for which none was sent
   const BEYOND = 5; // mm from the end of a line to its name
+  const NAME = 8; // mm between names
   const POSITION = [
     ["lateral shift", "mm"],
     ["anterior drawer", "mm"],
     ["distraction", "mm"],
-    ["varus", "°"],
+    ["varus angulation", "°"],
     ["internal rotation", "°"],
   ];
   // Both sequences grow away from the paper, in lightness alone enough to be told apart.
@@ -137,24 +138,32 @@
   }
 
   function ligaments(trial, colours) {
-    return scene.lines.map((line, n) => {
-      const force = trial.forces[n];
+    return scene.lines.map((line) => {
+      const force = trial.forces[line.of];
       const isTaut = force !== null && force !== 0;
       const style = isTaut
         ? { width: 9, color: between(colours.forces, Math.abs(force) / scene.force), dash: "solid" }
         : { width: 3, color: colours.muted, dash: force === 0 ? "dash" : "solid" };
-      return stroke(line.name, course(trial, line), style);
+      return stroke(scene.ligaments[line.of], course(trial, line), style);
     });
   }
 
-  // Names lie beyond the tibial ends, in front of everything.
+  // Names lie beyond the tibial ends, in front of everything; that of a ligament of several lines
+  // beyond the first of them.
   function names(trial, colours) {
-    return scene.lines.map((line) => {
+    const taken = [];
+    return scene.ligaments.map((name, n) => {
+      const line = scene.lines.find((x) => x.of === n);
       const [start, end] = course(trial, line).slice(-2);
       const along = unit(end.map((x, i) => x - start[i]));
+      const at = (away) => end.map((value, i) => value + away * along[i]);
+      // Bundles insert side by side: the name of the next one stands beyond that of the first.
+      let away = BEYOND;
+      while (taken.some((x) => Math.hypot(...at(away).map((y, i) => y - x[i])) < NAME)) away += NAME;
+      taken.push(at(away));
       return {
-        ...plotted(end.map((value, i) => value + BEYOND * along[i])),
-        text: line.name, showarrow: false, font: { color: colours.ink, size: 13 },
+        ...plotted(at(away)),
+        text: name, showarrow: false, font: { color: colours.ink, size: 13 },
       };
     });
   }
@@ -256,13 +265,13 @@
     const lost = trial.outcome === null ? "" : `${trial.outcome} It is drawn where it last stood.`;
     find(".kv-outcome").textContent = lost;
     find(".kv-outcome").hidden = !lost;
-    find(".kv-forces tbody").replaceChildren(...scene.lines.map((line, n) => {
+    find(".kv-forces tbody").replaceChildren(...scene.ligaments.map((name, n) => {
       const share = Math.abs(trial.forces[n] ?? 0) / scene.force;
-      return row(line.name, inNewtons(trial.forces[n]), share, between(colours.forces, share));
+      return row(name, inNewtons(trial.forces[n]), share, between(colours.forces, share));
     }));
     find(".kv-position tbody").replaceChildren(...POSITION.map(([name, unitOf], n) =>
       row(name, inUnit(trial.coordinates[n], unitOf))));
-    const forces = scene.lines.map((line, n) => `${line.name} ${inNewtons(trial.forces[n])}`);
+    const forces = scene.ligaments.map((name, n) => `${name} ${inNewtons(trial.forces[n])}`);
     slider.setAttribute("aria-valuetext", trial.loads);
     if (timer === null) {
       find(".kv-said").textContent = `${trial.loads}. ${lost} ${forces.join(", ")}.`;

@@ -1,7 +1,6 @@
 """The knee in three dimensions as HTML for a page that is read offline."""
 
 import json
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -9,13 +8,18 @@ from markupsafe import Markup
 from scipy.spatial import cKDTree
 
 from identknee.calibrate.fit import load_start
-from identknee.laxity.protocol import nominal_loads
+from identknee.checks.usable_trials import table_model
+from identknee.laxity.protocol import Protocol, nominal_loads
+from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import setting_words
-from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.equilibria import Continuation, LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
+from identknee.model.candidate_laxity import continued_from_own_poses
+from identknee.model.contact_loads import contact_values
 from identknee.model.effects.effect import MechanicalEffect
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.effects.facts import cause_label
+from identknee.model.laxity_model import Contact, LaxityModel, model_for_tests
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
@@ -28,6 +32,9 @@ from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.surface import Surface, joined
+from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis
+from identknee.verbs.fit import Calibration
 
 ROUNDS = 12  # of clustering; the patches hardly change after
 DECIMALS = 2  # of a mm
@@ -111,6 +118,11 @@ class SceneTrial:
         "Lateral shift, anterior drawer, distraction [mm], varus, internal [deg]", "coordinate"
     )
     tensions: Array = array("Tension of each line; NaN without equilibrium", "line", unit="N")
+    contact_N: Array = array(  # noqa: N815 - the unit
+        "Contact force of the medial and the lateral compartment; NaN without equilibrium",
+        "compartment",
+        unit="N",
+    )
     near: IntArray = array(
         "Which vertices of the tibia touch the femur or are less than `APART` from it",
         "touching",
@@ -128,7 +140,10 @@ class KneeScene:
     knee: Knee = entry("The subject")
     femur: Mesh = entry("Femoral cartilage, in the axes of poses")
     tibia: Mesh = entry("Tibial cartilage, both plateaus as one mesh")
-    names: tuple[str, ...] = entry("Names of the m lines that carry the tensions")
+    names: tuple[str, ...] = entry(
+        "What each of the m lines that carry the tensions belongs to: lines of one name are one "
+        "ligament"
+    )
     lines: LineLigaments = entry("Their courses")
     missing_line: Array | None = entry(
         "Femoral end in femoral axes and tibial end in tibial axes [mm], shape ``(2, 3)``, of a "
@@ -193,6 +208,7 @@ def _trials(
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
     main_loads = nominal_loads(protocol)
+    contact = contact_values(prediction)[:, :, 0]
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -206,6 +222,7 @@ def _trials(
                 placement=placement,
                 coordinates=coordinates_from_pose(pose),
                 tensions=tensions[i],
+                contact_N=contact[i],
                 near=near,
                 depths=depths[near],
             )
@@ -229,7 +246,7 @@ def _in_bones(knee: Knee, setting: MechanicsInputs, ends: Array) -> Array:
 def _line_names(model: LaxityModel, theta: Array) -> list[str]:
     """Names of all lines of a model, those that effects add called after what they belong to."""
     ligaments = [x.name for x in model.knee.ligaments]
-    names, start, counts = list(ligaments), 0, Counter(ligaments)
+    names, start = list(ligaments), 0
     setting, values = model.setting(theta, is_changed=False), model.amplitudes(theta)
     for effect in model.effects:
         part = slice(start, start + effect.parameters.n)
@@ -237,10 +254,8 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
         if not isinstance(effect, MechanicalEffect):
             continue
         setting = effect.change(setting, values[part])
-        for owner in setting.owner[len(names) :]:
-            name = ligaments[owner] if owner >= 0 else effect.name.replace("_", " ")
-            counts[name] += 1
-            names.append(name if counts[name] == 1 else f"{name} #{counts[name]}")
+        own = cause_label(effect.name)
+        names += [ligaments[x] if x >= 0 else own for x in setting.owner[len(names) :]]
     return names
 
 
@@ -256,7 +271,7 @@ def viewer_html(scene: KneeScene) -> Markup:
     """
     style, code = beside("viewer.css", "viewer.js")
     data = json.dumps(_data(scene), separators=(",", ":"), allow_nan=False)
-    forces = np.array([x.tensions for x in scene.trials])
+    owners, forces = _owners(scene)
     knee, n = scene.knee, len(scene.trials)
     sentences = [
         f"The {knee.side} knee {knee.name} in {n} trials, its ligaments coloured by force."
@@ -264,7 +279,7 @@ def viewer_html(scene: KneeScene) -> Markup:
     if np.isfinite(forces).any():
         trial, line = np.unravel_index(np.nanargmax(forces), forces.shape)
         sentences.append(
-            f"The largest force is {forces[trial, line]:.0f} N, of {scene.names[line]} in "
+            f"The largest force is {forces[trial, line]:.0f} N, of {owners[line]} in "
             f"{scene.trials[trial].name}."
         )
     lost = [x.name for x in scene.trials if x.outcome is not Outcome.CONVERGED]
@@ -285,20 +300,29 @@ def viewer_html(scene: KneeScene) -> Markup:
     )
 
 
+def _owners(scene: KneeScene) -> tuple[tuple[str, ...], Array]:
+    """Every ligament once, and the force of all its lines in each trial [N]."""
+    owners = tuple(dict.fromkeys(scene.names))
+    tensions = np.array([x.tensions for x in scene.trials]).reshape(len(scene.trials), -1)
+    is_of = np.array(scene.names)[:, None] == np.array(owners)
+    return owners, tensions @ is_of.astype(np.float64)
+
+
 def _data(scene: KneeScene) -> dict[str, Any]:
     """What the drawing is made from, of the knee's own side."""
     mirror = np.array([1.0, 1.0, -1.0 if scene.knee.side == "left" else 1.0])
     lines = scene.lines
-    forces = np.array([x.tensions for x in scene.trials])
+    owners, forces = _owners(scene)
     depths = np.concatenate([x.depths for x in scene.trials])
     missing = scene.missing_line
     return {
         "lateral": mirror[2],
         "femur": _mesh(scene.femur, mirror),
         "tibia": _mesh(scene.tibia, mirror),
+        "ligaments": owners,
         "lines": [
             {
-                "name": name,
+                "of": owners.index(name),
                 "femoral": _rounded(lines.femoral[i] * mirror, 3),
                 "tibial": _rounded(lines.tibial[i] * mirror, 3),
                 "lift": _rounded(np.asarray(lines.wrap_offset)[i] * mirror[2], 3),
@@ -311,7 +335,7 @@ def _data(scene: KneeScene) -> dict[str, Any]:
         "box": _rounded(_box(scene, mirror), 1),
         "force": float(np.nanmax(np.abs(forces), initial=1.0)),
         "depth": float(np.max(depths, initial=0.01).round(2)),
-        "trials": [_trial(x, mirror) for x in scene.trials],
+        "trials": [_trial(x, own, mirror) for x, own in zip(scene.trials, forces, strict=True)],
     }
 
 
@@ -321,7 +345,7 @@ def _mesh(mesh: Mesh, mirror: Array) -> dict[str, Any]:
     return {"x": x, "y": y, "z": z, "i": i, "j": j, "k": k}
 
 
-def _trial(trial: SceneTrial, mirror: Array) -> dict[str, Any]:
+def _trial(trial: SceneTrial, forces: Array, mirror: Array) -> dict[str, Any]:
     placement = trial.placement
     is_converged = trial.outcome is Outcome.CONVERGED
     return {
@@ -332,7 +356,7 @@ def _trial(trial: SceneTrial, mirror: Array) -> dict[str, Any]:
         "rotation": _rounded(mirror[:, None] * placement.rotation * mirror, 8),
         "translation": _rounded(placement.translation * mirror, 5),
         "coordinates": _rounded(trial.coordinates, 2),
-        "forces": [None if np.isnan(x) else round(float(x), 2) for x in trial.tensions],
+        "forces": [None if np.isnan(x) else round(float(x), 2) for x in forces],
         "near": trial.near.tolist(),
         "depths": np.round(MICROMETRES * trial.depths).astype(int).tolist(),
     }
@@ -380,12 +404,47 @@ def scene_of(findings: Findings, knee: Knee) -> KneeScene | None:
             continue
         extended = result.folder / EXTENDED
         if result.verb == "diagnose" and extended.is_dir():
-            model = LaxityModel(knee=read_subject(extended), protocol=protocol)
+            model = model_for_tests(read_subject(extended), _tests_of(result.answer, protocol))
             theta = load_start(str(extended / FITTED), model.parameters)
             line = presenter_of(result.answer).missing_line(result.answer, model.knee)
-            return model_scene(model, theta, missing_line=line)
-        if (values := result.answer.parameter_set) is not None:
-            model = LaxityModel(knee=knee, protocol=protocol)
-            if tuple(values) == model.parameters.names:
-                return model_scene(model, np.array(list(values.values())))
+            # Where the line became a structure of the knee, it is among its ligaments.
+            is_own = any(x.lines for x in model.knee.effects)
+            return model_scene(model, theta, missing_line=None if is_own else line)
+        if (found := scene_at(result.answer, knee, protocol)) is not None:
+            return found
     return None
+
+
+def scene_at(answer: Answer, knee: Knee, protocol: Protocol) -> KneeScene | None:
+    """The knee at the parameter set of an answer; None where it has none of this knee."""
+    if (values := answer.parameter_set) is None:
+        return None
+    model = answered_model(answer, knee, protocol)
+    if tuple(values) != model.parameters.names:
+        return None
+    parameters = np.array(list(values.values()))
+    if knee.poses and not isinstance(answer, Calibration):
+        model = continued_from_own_poses(model, parameters)
+    return model_scene(model, parameters)
+
+
+def _tests_of(answer: Answer, protocol: Protocol) -> Protocol | Laxity:
+    """The measured trials of a diagnosis, else the protocol."""
+    if not isinstance(answer, Diagnosis) or answer.trials is None:
+        return protocol
+    own = answer.trials
+    return Laxity(protocol=protocol, coordinates=own.coordinates, zero=own.zero)
+
+
+def answered_model(answer: Answer, knee: Knee, protocol: Protocol) -> LaxityModel:
+    """The model of which an answer holds a parameter set, set up as when it was found.
+
+    A fit to measured laxity may keep another pattern of grouped bundles than the knee, and begins
+    at measured poses; at the same parameters another model has other forces.
+    """
+    settings = {} if answer.record is None else answer.record.settings
+    continuation: Continuation = settings.get("continuation") or "continuation"
+    if isinstance(answer, Calibration):
+        return table_model(knee, answer.data, continuation)[0]
+    contact: Contact = settings.get("contact") or "field"
+    return LaxityModel(knee=knee, protocol=protocol, continuation=continuation, contact=contact)

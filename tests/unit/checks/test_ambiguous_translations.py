@@ -54,6 +54,7 @@ def test_said_of_the_table_alone_beyond_the_noise_only(measured: Laxity, tmp_pat
     assert one.values["change_mm"] == pytest.approx(largest_change(measured), rel=1e-9)
     assert one.values["trial"] in measured.protocol.trials
     assert not found(trials_asked(table, noise_mm=10.0).findings)
+    assert measured.sd is not None
     assert not found(trials_asked(replace(table, sd=100.0 * measured.sd)).findings)
 
 

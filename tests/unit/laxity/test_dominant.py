@@ -1,14 +1,17 @@
 """Which load a trial is about, in tables as a robot writes them."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from large_inputs import many_trials
 
 from identknee.diagnosis.investigation import trial_layout
+from identknee.laxity.experiments import Experiment
 from identknee.laxity.protocol import (
     ALIKE,
     SAME_FLEXION_DEG,
+    Protocol,
     concatenate,
     dominant_loads,
     load_protocol,
@@ -19,6 +22,7 @@ from identknee.laxity.protocol import (
 )
 from identknee.laxity.table import COORDINATES, Laxity, example_laxity
 from identknee.laxity.trial_words import load_words
+from identknee.runs.arrays import Array
 
 
 def test_stray_and_constant_loads_do_not_tell_trials_apart() -> None:
@@ -78,10 +82,41 @@ def test_the_most_alike_of_many_opposite_trials_are_paired_first() -> None:
     assert {(i, j) for i, j in opposite_pairs(protocol).tolist()} == pairs
 
 
+def _experiment(name: str) -> Experiment:
+    return Experiment(name=name, rig=name, mounting=name)
+
+
+def test_angles_read_a_little_apart_are_shown_as_one() -> None:
+    table = example_laxity("s192803").protocol
+    shown = shown_flexion(table)
+    assert len(np.unique(table.flexion_deg)) > 20
+    np.testing.assert_array_equal(np.unique(shown), [5.0, 36.0, 57.0, 87.0])
+    assert np.abs(shown - table.flexion_deg).max() < 3.0
+    # Also beside an experiment whose trials all have the same angle.
+    many = 40
+    set_angle = Protocol(
+        name="set",
+        trials=tuple(f"set{i}" for i in range(many)),
+        flexion_deg=np.full(many, 30.0),
+        loads=np.zeros((many, 5)),
+        experiment=("rig",) * many,
+        experiments=(_experiment("rig"),),
+    )
+    robot = replace(table, experiment=("robot",) * table.n, experiments=(_experiment("robot"),))
+    both = shown_flexion(concatenate([robot, set_angle]))
+    np.testing.assert_array_equal(both, [*shown, *set_angle.flexion_deg])
+
+
 def test_many_angles_are_shown_together() -> None:
-    few = np.linspace(0.0, 90.0, 50)
-    np.testing.assert_array_equal(shown_flexion(few), few)
-    many = shown_flexion(np.linspace(0.0, 90.0, 51))
+    def shown(*angles: float) -> Array:
+        loads = np.zeros((len(angles), 5))
+        names = tuple(f"trial{i}" for i in range(len(angles)))
+        protocol = Protocol(name="x", trials=names, flexion_deg=np.array(angles), loads=loads)
+        return shown_flexion(protocol)
+
+    few = [0.0, 0.0, 30.0, 30.0, 34.0, 34.0]
+    np.testing.assert_array_equal(shown(*few), few)
+    many = shown(*np.linspace(0.0, 90.0, 51).tolist())
     np.testing.assert_array_equal(np.unique(many), np.arange(0.0, 91.0, 15.0))
 
 
@@ -97,3 +132,9 @@ def test_a_ramp_under_constant_compression_is_about_its_own_load() -> None:
     assert not nominal_loads(held)[:, 3].any()
     blank = np.full((held.n, len(COORDINATES)), np.nan)
     assert trial_layout(Laxity(protocol=held, coordinates=blank)).sides()["no load"].any()
+
+
+def test_no_trial_has_no_load() -> None:
+    none = load_protocol("drawer").select([])
+    assert dominant_loads(none).axis.shape == (0,)
+    assert nominal_loads(none).shape == (0, 5)

@@ -9,6 +9,7 @@ from diagnoses import FRAME, answered, diagnosed
 from identknee.diagnosis.fitting import RivalState, refit
 from identknee.diagnosis.investigation import Investigation
 from identknee.diagnosis.isolability import Distances
+from identknee.diagnosis.misfit import LEVEL
 from identknee.diagnosis.missing_line import LineFinding
 from identknee.diagnosis.verdict import Conclusion, Verdict
 from identknee.laxity.protocol import Protocol
@@ -19,13 +20,15 @@ from identknee.report.diagnosis_figures import (
     added_variable_figure,
     diagnosis_figures,
     isolability_figure,
+    largest_pulls,
     misfit_figure,
     misfit_words,
     parameters_before_after_figure,
     residual_curves_figure,
     residuals_figure,
+    wrench_figure,
 )
-from identknee.report.figures import png
+from identknee.report.figures import MEASURED, png
 from identknee.report.presenter import statements_of
 from identknee.runs.array_groups import groups_of
 from identknee.runs.schema import summary_of
@@ -222,13 +225,36 @@ def test_the_extended_knee_is_that_of_the_fit(reference: Knee) -> None:
     ]
 
 
-def test_without_load_curves_there_is_no_figure_of_residuals() -> None:
+def test_residuals_are_drawn_by_load_where_there_are_no_load_curves() -> None:
     angles = np.array([10.0, 20.0, 30.0, 40.0])
     loads = np.zeros((4, 5))
     loads[:, 0] = [-4.0, 0.0, 2.0, 4.0]
     protocol = Protocol(name="x", trials=tuple("abcd"), flexion_deg=angles, loads=loads)
-    left, sd = np.zeros((4, 5)), np.ones((4, 5))
-    assert residuals_figure(protocol, left, sd, {}) is None
+    left, sd = np.arange(20.0).reshape(4, 5), np.ones((4, 5))
+    figure = residuals_figure(protocol, left, sd, {"with a cause": left - 1.0})
+    assert figure is not None
+    dots = [x for axes in figure.axes for x in axes.lines if x.get_color() == MEASURED]
+    drawn = np.concatenate([np.asarray(x.get_ydata()) for x in dots if x.get_marker() != "x"])
+    assert set(drawn.tolist()) == set(left[[0, 2, 3]].ravel().tolist())
+    assert [x.get_text()[-8:] for x in figure.axes[0].texts] == [", 1.0 mm"]
     same = replace(protocol, flexion_deg=np.full(4, 30.0))
-    assert residuals_figure(same, left, sd, {}) is not None
+    along = residuals_figure(same, left, sd, {})
+    assert along is not None
+    assert "N·m" in along.axes[-1].get_xlabel()
     assert residuals_figure(same, np.full((4, 5), np.nan), sd, {}) is None
+
+
+def test_the_largest_missing_forces_are_drawn_and_all_are_in_a_table() -> None:
+    answer = answered(FRAME)
+    pulls = answer.missing_wrench
+    assert len(pulls) > 6
+    figure = wrench_figure(answer, reference_knee())
+    assert figure is not None
+    kept = largest_pulls(pulls)
+    assert [x.get_title() for x in figure.axes] == [
+        f"{x.flexion_deg:g} deg, {x.direction}" for x in kept
+    ]
+    sizes = [np.hypot(x.anterior_force_N, x.lateral_force_N) for x in pulls if x.p_value <= LEVEL]
+    assert max(sizes) in [np.hypot(x.anterior_force_N, x.lateral_force_N) for x in kept]
+    tables = [x for y in statements_of(answer) for x in y.tables if "Missing force" in x.title]
+    assert [len(x.rows) for x in tables] == [len(pulls)]

@@ -1,21 +1,31 @@
 """Laxity along load curves: what is drawn is what is given."""
 
+from dataclasses import replace
+
 import numpy as np
 from figure_checks import clipped, empty_axes, overlapping
 from figure_checks import drawn as drawn_by
+from matplotlib.colors import to_rgba
 from report_folders import few_trials
 
-from identknee.laxity.protocol import LOADS, Protocol
+from identknee.laxity.protocol import LOADS, Protocol, concatenate
 from identknee.laxity.table import COORDINATES, example_laxity
-from identknee.report.figures import vector
+from identknee.report.figures import COLOURS, FIT, vector
 from identknee.report.laxity_figures import (
+    ALONG_GROUND,
+    LOST,
     LaxityCurves,
     all_coordinates_figure,
     along_load_figure,
-    by_flexion_figure,
+    by_load_figure,
 )
 
+WAYS_OF_DRAWER = ("Anterior", "Posterior")
 INTERNAL = COORDINATES.index("internal_deg")
+
+
+def wrapped_words(text: str) -> str:
+    return text.replace("\n", " ")
 
 
 def curves(*, band: bool = False) -> LaxityCurves:
@@ -34,7 +44,7 @@ def test_the_coordinate_along_the_load_is_drawn() -> None:
     given = curves()
     figure = along_load_figure(given)
     assert figure is not None
-    axes = next(x for x in figure.axes if x.get_ylabel() == "internal [deg]")
+    axes = next(x for x in figure.axes if x.get_ylabel() == "internal rotation [deg]")
     assert axes.get_xlabel() == "internal moment [N·m]"
     line = next(x for x in axes.lines if x.get_label() == "fit")
     load = given.protocol.loads[:, LOADS.index("internal_moment_Nm")]
@@ -80,23 +90,80 @@ def test_a_figure_can_go_into_a_paper() -> None:
         assert vector(figure, form) == written
 
 
-def test_trials_without_load_curves_are_drawn_by_flexion() -> None:
+def measured_knee() -> LaxityCurves:
+    """A table as a rig writes it, beside a model that loses one trial."""
     data = example_laxity("s192803")
-    given = LaxityCurves(
-        protocol=data.protocol,
-        simulated={"fit": data.coordinates + 2.0},
-        measured=data.coordinates,
+    fit = data.coordinates + 2.0
+    fit[data.protocol.trials.index("Anterior_90")] = np.nan
+    sd = np.full_like(fit, 0.5)
+    return LaxityCurves(
+        protocol=data.protocol, simulated={"fit": fit}, measured=data.coordinates, sd=sd
     )
-    assert along_load_figure(given) is None
-    figure = by_flexion_figure(given)
-    assert [x.get_ylabel() for x in figure.axes] == [
+
+
+def test_measured_trials_are_drawn_by_load_and_coordinate() -> None:
+    given = measured_knee()
+    on_curves, others = given.parts()
+    (other,) = others.values()
+    assert on_curves is None
+    assert other.protocol.trials == given.protocol.trials
+    figure = by_load_figure(other)
+    panels = np.array(figure.axes).reshape(len(COORDINATES), 3)
+    assert [wrapped_words(x.get_ylabel()) for x in panels[:, 0]] == [
         *("lateral shift [mm]", "anterior drawer [mm]", "distraction [mm]"),
-        *("varus [deg]", "internal [deg]"),
+        *("varus angulation [deg]", "internal rotation [deg]"),
     ]
-    for i, axes in enumerate(figure.axes):
-        drawn = {x.get_label(): np.asarray(x.get_ydata()) for x in axes.lines}
-        np.testing.assert_array_equal(drawn["fit"], data.coordinates[:, i] + 2.0)
-        np.testing.assert_array_equal(drawn["measured"], data.coordinates[:, i])
+    # Both directions of a load are in one panel, the trial without load in all.
+    heads = [x.get_title(loc="left").splitlines() for x in panels[0]]
+    assert heads == [
+        ["● internal moment 7.53 N·m", "○ external moment 7.53 N·m", "× unloaded"],
+        ["● varus moment 9.98 N·m", "○ valgus moment 9.7 N·m", "× unloaded"],
+        ["● anterior force 197 N", "○ posterior force 204 N", "× unloaded"],
+    ]
+    assert [x.get_facecolor() == to_rgba(ALONG_GROUND) for x in panels[:, 2]] == [
+        *(False, True, False, False, False)
+    ]
+    names = given.protocol.trials
+    for column, ways in enumerate((("Internal", "External"), ("Varus", "Valgus"), WAYS_OF_DRAWER)):
+        trials = [[i for i, x in enumerate(names) if x.startswith(way)] for way in ways]
+        for row in range(len(COORDINATES)):
+            drawn = panels[row, column].lines
+            for own, line in zip(trials, [x for x in drawn if x.get_color() == FIT], strict=False):
+                np.testing.assert_array_equal(line.get_ydata(), given.simulated["fit"][own, row])
+    # What the model loses is marked where it was measured.
+    drawer = panels[1, 2]
+    lost = [x for x in drawer.lines if x.get_marker() == "x" and x.get_color() == COLOURS[1]]
+    (place,) = [x for x in lost if len(np.asarray(x.get_xdata()))]
+    assert given.measured is not None
+    trial = names.index("Anterior_90")
+    assert place.get_xdata() == [given.protocol.flexion_deg[trial]]
+    assert place.get_ydata() == [given.measured[trial, 1]]
+    assert [x.get_text() for x in drawer.texts] == ["RMSE 2.0 mm"]
+    (legend,) = figure.legends
+    assert [x.get_text() for x in legend.get_texts()] == ["fit", "measured ± 2 sd", LOST]
     assert empty_axes(figure, renderer := drawn_by(figure)) == []
     assert clipped(figure, renderer) == []
     assert overlapping(figure, renderer) == []
+
+
+def test_each_state_has_its_own_figure_and_curves_theirs() -> None:
+    data = example_laxity("s192803").protocol
+    cut = replace(data, trials=tuple(f"{x}_cut" for x in data.trials), state=("cut: ACL",) * data.n)
+    # Loads in steps at an angle that the rig reads a little otherwise in each trial.
+    steps = Protocol(
+        name="steps",
+        trials=("a", "b", "c", "d"),
+        flexion_deg=np.array([30.0, 30.2, 30.1, 30.3]),
+        loads=np.array([[0.1, 0.0, x, -20.0, 0.0] for x in (-90.0, 1.0, 45.0, 90.0)]),
+        state=("cut: LCL",) * 4,
+    )
+    whole = concatenate([data, cut, steps])
+    values = np.zeros((whole.n, len(COORDINATES)))
+    on_curves, others = LaxityCurves(protocol=whole, simulated={"fit": values}).parts()
+    assert on_curves is not None
+    assert on_curves.protocol.trials == steps.trials
+    assert [x.protocol.trials for x in others.values()] == [data.trials, cut.trials]
+    assert along_load_figure(on_curves) is not None
+    assert [by_load_figure(x, k).get_suptitle() for k, x in others.items()] == [
+        *("intact", "cut: ACL")
+    ]

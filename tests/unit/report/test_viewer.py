@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bundled_knee import bundled_knee
 from posed_knees import NAMES, posed_reference
 
 from identknee.laxity.protocol import Protocol, load_protocol
@@ -17,9 +18,13 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
-from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
+from identknee.report.notebook import result_of
+from identknee.report.page.results import Findings
+from identknee.report.page.viewer import KneeScene, model_scene, scene_of, viewer_html
 from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
+from identknee.verbs.fit import fit
+from identknee.verbs.simulate import simulate
 
 LIMIT = 600_000  # bytes of a scene
 PLACES = 1e-3  # mm, as near as drawn places are to those of the model
@@ -109,7 +114,7 @@ def test_left_knee_is_drawn_as_a_left_one(left_model: LaxityModel) -> None:
     left = data_in(viewer_html(model_scene(left_model, theta, missing_line=ends)))
     right_model = replace(left_model, knee=replace(knee, side="right"))
     right = data_in(viewer_html(model_scene(right_model, theta, missing_line=ends)))
-    assert [x["name"] for x in left["lines"]] == [*NAMES, "oblique"]
+    assert left["ligaments"] == [*NAMES, "oblique"]
     mirror = np.array([1.0, 1.0, -1.0])
     assert (left["lateral"], right["lateral"]) == (-1.0, 1.0)
     for one, other in zip(left["trials"], right["trials"], strict=True):
@@ -130,8 +135,37 @@ def test_lines_of_effects_are_drawn_under_their_names(reference_model: LaxityMod
     theta[list(model.parameters.names).index("anterolateral.stiffness_kN")] = 2.0
     drawn = model_scene(model, theta)
     own = [x.name for x in knee.ligaments]
-    assert drawn.names == (*own, *(f"{x} #2" for x in own), "anterolateral")
+    assert drawn.names == (*own, *own, "anterolateral structure")
     assert all(len(x.tensions) == len(drawn.names) for x in drawn.trials)
+    # A ligament of two lines has one name and one force, which is that of both.
+    data = data_in(viewer_html(drawn))
+    assert data["ligaments"] == [*own, "anterolateral structure"]
+    assert [x["of"] for x in data["lines"]] == [0, 1, 2, 3, 0, 1, 2, 3, 4]
+    forces = np.array([x["forces"] for x in data["trials"]])
+    expected = tensions_of(model, model.predict(theta, derivatives=False))
+    np.testing.assert_allclose(forces[:, : len(own)], expected, atol=0.01)
+
+
+def test_a_fit_is_drawn_with_the_model_that_it_was_made_with() -> None:
+    protocol = few_trials()
+    measured = replace(
+        protocol, flexion_deg=protocol.flexion_deg + 0.1 * np.arange(protocol.n, dtype=float)
+    )
+    whole = bundled_knee()
+    laxity = simulate(whole, measured, noise="0.3mm,0.3deg").noisy
+    assert laxity is not None
+    # At these strains trials have no equilibrium, so that the fit keeps other ones of its bundles.
+    strains = [-9.0 if x.name == "MCLp" else -12.0 for x in whole.ligaments]
+    knee = whole.with_ligaments(
+        [replace(x, reference_strain_pct=e) for x, e in zip(whole.ligaments, strains, strict=True)]
+    )
+    answer = fit(knee, laxity, noise="0.3mm,0.3deg", budget=1, more_starts=0)
+    found = scene_of(Findings(subject=knee.name, results=(result_of(answer),)), knee)
+    assert found is not None
+    forces = np.array([x.tensions for x in found.trials])
+    np.testing.assert_array_equal(forces, answer.tension_N)
+    other = LaxityModel(knee=knee, protocol=measured).predict(answer.theta, derivatives=False)
+    assert np.nanmax(np.abs(other.coordinates - answer.coordinates)) > 0.1
 
 
 def test_pushed_line_bends(reference_model: LaxityModel) -> None:
@@ -178,7 +212,7 @@ def test_names_cannot_break_the_page(reference_model: LaxityModel) -> None:
     page = viewer_html(model_scene(model, model.parameters.center))
     assert page.count("</script>") == 2
     assert "<b>" not in page.replace('<b class="kv-loads">', "")
-    assert data_in(page)["lines"][0]["name"] == "<i>0</script>"
+    assert data_in(page)["ligaments"][0] == "<i>0</script>"
 
 
 def test_fragment_asks_for_nothing_from_elsewhere(scene: KneeScene) -> None:
