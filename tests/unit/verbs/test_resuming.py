@@ -57,6 +57,8 @@ def changed(name: str, value: Any) -> Any:
         return OTHER
     if name == "uncertain":
         return "insertions=1mm"
+    if name == "noise":
+        return "0.4mm,0.4deg"
     if name == "discrepancy":
         return "smooth"
     if name == "plausible":
