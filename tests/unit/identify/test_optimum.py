@@ -85,6 +85,45 @@ def test_what_a_fit_holds_is_held_in_the_others() -> None:
         assert other.theta[0] == start[0]
 
 
+def torn(misfit: float) -> ClosedForm:
+    """A stiffness that is 1 or a fiftieth, and 1 with a residual that the fiftieth has not."""
+    own, gone = plain_parameters(1, low=1e-4), np.log(0.02)
+    names = replace(own, center=np.ones(1), is_log=np.ones(1, bool), prior_sd=np.array([0.3]))
+
+    def residuals(x: Array) -> Array:
+        u = np.log(x[0])
+        return np.array([5.0 * u * (u - gone), misfit * (u - gone) / gone])
+
+    def jacobian(x: Array) -> Array:
+        u = np.log(x[0])
+        return np.array([[5.0 * (2.0 * u - gone)], [misfit / gone]]) / x[0]
+
+    return ClosedForm(
+        name="torn",
+        parameters=names,
+        start=np.array([1.1]),
+        minimum=np.array([0.02]),
+        lowest=0.0,
+        residuals_at=residuals,
+        jacobian_at=jacobian,
+    )
+
+
+def test_where_much_misfit_is_left_a_search_begins_without_a_ligament() -> None:
+    problem = torn(misfit=6.0)
+    first = fit(problem, problem.start)
+    assert first.theta[0] > 0.5
+    lowest, other = with_fits_from(problem, first, np.zeros((0, 1)))
+    assert lowest.theta == pytest.approx(problem.minimum, rel=1e-6)
+    assert other is first
+
+
+def test_where_little_is_left_none_does() -> None:
+    problem = torn(misfit=1.0)
+    first = fit(problem, problem.start)
+    assert with_fits_from(problem, first, np.zeros((0, 1))) == (first,)
+
+
 def test_a_start_outside_the_bounds_is_refused() -> None:
     with pytest.raises(ValueError, match=r"start.*x0\.value_pct.*11"):
         best_fit(two_valleys(), start=np.array([11.0]))
