@@ -96,7 +96,8 @@ def torn(misfit: float) -> ClosedForm:
 
     def jacobian(x: Array) -> Array:
         u = np.log(x[0])
-        return np.array([[5.0 * (2.0 * u - gone)], [misfit / gone]]) / x[0]
+        slopes = [[5.0 * (2.0 * u - gone) / x[0]], [misfit / gone / x[0]]]
+        return np.array(slopes)
 
     return ClosedForm(
         name="torn",
