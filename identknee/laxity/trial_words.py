@@ -102,16 +102,20 @@ def setting_words(flexion_deg: float, loads: Sequence[float] | Array) -> str:
 
 
 def trial_description(trial: Mapping[str, Any]) -> str:
-    """A trial to do, from its angle and loads.
+    """A trial to do, from its angle, its loads and its state where something is cut.
 
     Examples
     --------
     >>> trial_description({"flexion_deg": 30.0, "anterior_force_N": -134.0})
     'posterior force of 134 N at 30 deg of flexion'
+    >>> trial_description({"flexion_deg": 30.0, "state": "cut: ACL"})
+    'no load at 30 deg of flexion (cut: ACL)'
     """
     values = [float(trial.get(name) or 0.0) for name in LOADS]
     loads = listed(loads_words(values, "{what} of {size:g} {unit}", is_short=True))
-    return f"{loads or 'no load'} at {float(trial[FLEXION]):g} deg of flexion"
+    state = trial.get("state", INTACT)
+    made_in = "" if state == INTACT else f" ({state})"
+    return f"{loads or 'no load'} at {float(trial[FLEXION]):g} deg of flexion{made_in}"
 
 
 def load_scenarios(protocol: Protocol) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from identknee.identify.design_criteria import (
     Step,
 )
 from identknee.identify.profile.result import chi2_threshold, f_threshold
+from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
@@ -128,10 +129,17 @@ class Design(Answer):
     @property
     @derived("The trials to add, the most helpful first, each with the loss once it is added")
     def trials(self) -> tuple[dict[str, Any], ...]:
-        """The trials to add: name, flexion, loads and loss."""
+        """The trials to add: name, flexion, loads, loss, and the state where something is cut."""
+        states = self.states or (INTACT,) * len(self.choice.chosen)
         return tuple(
-            {**self.candidate(i), "loss": float(loss)}
-            for i, loss in zip(self.choice.chosen, self.choice.losses[1:], strict=True)
+            {
+                **self.candidate(i),
+                "loss": float(loss),
+                **({} if state == INTACT else {"state": state}),
+            }
+            for i, loss, state in zip(
+                self.choice.chosen, self.choice.losses[1:], states, strict=True
+            )
         )
 
     def candidate(self, place: int) -> dict[str, Any]:

@@ -174,3 +174,7 @@ def test_trials_are_advised_in_the_state_in_which_the_knee_was_left(tmp_path: Pa
         assert answer.to_measure.protocol.state == (
             None if set(answer.states) == {"intact"} else answer.states
         )
+        for trial, state in zip(answer.trials, answer.states, strict=True):
+            assert trial.get("state", "intact") == state
+        said, is_cut = str(answer).split("\n", 1)[0], "cut: MCL" in answer.states
+        assert ("(cut: MCL)" in said) == is_cut
