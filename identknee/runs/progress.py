@@ -271,6 +271,7 @@ class _DelayedBar:
         self._began = time.monotonic()
         self._lock = threading.Lock()
         self._shown: tuple[Progress, TaskID] | None = None
+        self._unsaid: list[str] = []
 
     def show(self) -> None:
         # Imported here because rich takes longer to load than most commands run.
@@ -296,6 +297,7 @@ class _DelayedBar:
             self._shown = (bar, task)
             self._update()
             bar.start()
+            self._say_all()
 
     def __call__(self, count: int, /) -> None:
         with self._lock:
@@ -315,8 +317,15 @@ class _DelayedBar:
 
     def say(self, sentence: str, /) -> None:
         with self._lock:
-            if self._shown is not None:
-                self._shown[0].console.print(f"identknee: {sentence}", markup=False)
+            self._unsaid.append(sentence)
+            self._say_all()
+
+    def _say_all(self) -> None:
+        if self._shown is None:
+            return
+        for sentence in self._unsaid:
+            self._shown[0].console.print(f"identknee: {sentence}", markup=False)
+        self._unsaid.clear()
 
     def _update(self) -> None:
         if self._shown is None:
@@ -370,6 +379,10 @@ class _Plan:
         self.add(description, before)
         return _Part(self, description)
 
+    def say(self, sentence: str) -> None:
+        """Say a sentence beside the bar."""
+        self._advance.say(sentence)
+
     def add(self, description: str, count: int) -> None:
         """Tell the bar that so many items of a map are done."""
         self._done[description] += count
@@ -392,3 +405,7 @@ class _Part(_Silent):
     @override
     def __call__(self, count: int, /) -> None:
         self._plan.add(self._description, count)
+
+    @override
+    def say(self, sentence: str, /) -> None:
+        self._plan.say(sentence)

@@ -282,6 +282,8 @@ def resumable_map(
     fresh = (result for wave in waves for result in executor.map(task, wave))
     bar = progress_bar(description, len(items), before=len(results))
     with bar as advance, _Commits(store) as commits:
+        if results and missing:
+            advance.say(f"{description}: resumed at {len(results):,} of {len(items):,}")
         for index, result in zip(missing, _explained(fresh, store), strict=True):
             results[keys[index]] = result
             commits.add(keys[index], result)

@@ -75,10 +75,12 @@ def test_a_bar_is_shown_for_long_work_on_a_terminal(
     with progress_bar("simulating", total) as advance:
         advance(1)
         deadline = time.monotonic() + 20
-        while "simulating" not in terminal.getvalue() and time.monotonic() < deadline:
+        advance.say("said before it is shown")
+        while "said" not in terminal.getvalue() and time.monotonic() < deadline:
             time.sleep(0.01)
         advance(3)
     assert "simulating" in terminal.getvalue()
+    assert terminal.getvalue().count("identknee: said before it is shown") == 1
     assert "4/" in terminal.getvalue()
 
 

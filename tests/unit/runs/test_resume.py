@@ -92,6 +92,17 @@ def test_an_interrupted_map_goes_on_where_it_was(tmp_path: Path) -> None:
     assert counting.n == 3
 
 
+def test_a_run_that_goes_on_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_work(tmp_path / "work.sqlite", ABOUT) as store:
+        with pytest.raises(KeyboardInterrupt):
+            resumable_map(abs, range(8), executor=Counting(stop_after=3), store=store)
+        assert "resumed" not in capsys.readouterr().err
+        resumable_map(abs, range(8), store=store, description="fitting")
+        assert capsys.readouterr().err == "identknee: fitting: resumed at 3 of 8\n"
+        resumable_map(abs, range(8), store=store)
+        assert capsys.readouterr().err == ""
+
+
 def test_an_error_in_one_item_keeps_those_before_it(tmp_path: Path) -> None:
     with open_work(tmp_path / "work.sqlite", ABOUT) as store:
         with pytest.raises(ValueError, match=r"math domain|nonnegative"):
