@@ -14,6 +14,7 @@ from identknee.report.tables import Table
 ONE_LINE = 28  # letters of the longest cell of a column whose cells are not broken
 # A number and its unit stay on one line, as does an option of a command.
 OPTION = re.compile(r"(?<!\S)--[a-z][a-z-]*")
+NEXT = re.compile(r"(Next: )(identknee .+)")
 UNIT = re.compile(r"(\d) (?=(?:kN|N·m|N|mm|deg|%)(?![\w·]))")
 
 
@@ -36,13 +37,17 @@ def parts() -> Any:
 
 
 def words(text: str) -> Markup:
-    """Plain text as HTML, a number and its unit on one line, as an option of a command.
+    """Plain text as HTML, a number and its unit on one line, commands and options set as such.
 
     Examples
     --------
     >>> words("at most 2 kN")
     Markup('at most 2&nbsp;kN')
+    >>> words("Next: identknee fit")
+    Markup('Next: <code>identknee fit</code>')
     """
+    if found := NEXT.fullmatch(text):
+        return Markup("{}<code>{}</code>").format(*found.groups())
     whole = UNIT.sub(r"\1&nbsp;", str(Markup.escape(text)))
     return Markup(OPTION.sub(r'<code class="option">\g<0></code>', whole))
 
