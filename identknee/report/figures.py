@@ -84,7 +84,7 @@ def legend_below(
         handles,
         words,
         loc="outside lower center",
-        ncols=max(1, min(columns, int(figure.get_figwidth() / inches))),
+        ncols=max(1, min(columns, int(figure.bbox.width / figure.dpi / inches))),
         frameon=False,
         fontsize=fontsize,
         **more,

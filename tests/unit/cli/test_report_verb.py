@@ -37,9 +37,14 @@ def test_it_takes_what_it_finds(folder: Path) -> None:
 def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
     result = run("report", folder / "fit", "--out", tmp_path / "page.html", "--figures", "pdf")
     assert result.exit_code == 0, result.output
-    assert f"2 figures: {tmp_path / 'figures'}" in result.stdout
+    assert f"4 figures: {tmp_path / 'figures'}" in result.stdout
     files = sorted((tmp_path / "figures").iterdir())
-    assert [x.name for x in files] == ["fit-laxity-all.pdf", "fit-laxity.pdf"]
+    assert [x.name for x in files] == [
+        "fit-all-forces.pdf",
+        "fit-knee-loads.pdf",
+        "fit-laxity-all.pdf",
+        "fit-laxity.pdf",
+    ]
     assert all(x.read_bytes().startswith(b"%PDF") for x in files)
 
 
