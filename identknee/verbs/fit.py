@@ -595,7 +595,8 @@ def fit(
         **simulated(model, prediction),
         start=start_word(start),
         search=found,
-        data=laxity,
+        # They were read as components, as a stored answer has them.
+        data=replace(laxity, is_definition_stated=True),
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
         origin=_origin(fits[0], used.start),

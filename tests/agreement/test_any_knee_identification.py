@@ -78,6 +78,7 @@ def test_the_information_is_the_same(summaries: Summaries) -> None:
         assert there[name] == here[name]
 
 
+@pytest.mark.slow
 def test_the_profiles_are_the_same(summaries: Summaries) -> None:
     here, there = summaries("profile")
     assert set(here["parameters"]) == set(FREE)
@@ -94,6 +95,7 @@ def test_the_profiles_are_the_same(summaries: Summaries) -> None:
                 assert theirs[key] == pytest.approx(mine[key], rel=SAME, abs=SAME), name
 
 
+@pytest.mark.slow
 def test_the_equivalent_sets_reach_as_far(summaries: Summaries) -> None:
     here, there = summaries("equivalents")
     assert there["diameter"] == pytest.approx(here["diameter"], rel=SAME)

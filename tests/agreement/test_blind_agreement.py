@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_cases import some_slow
 
 from identknee.blind.case import blind_case
 from identknee.blind.conditions import stated_conditions
@@ -62,7 +63,7 @@ def _signals(model: LaxityModel) -> list[float]:
     return signals
 
 
-@pytest.mark.parametrize("which", ["reference_model", "stable_model"])
+@pytest.mark.parametrize("which", some_slow(["reference_model", "stable_model"], ["stable_model"]))
 def test_a_null_leaves_little(which: str, request: pytest.FixtureRequest) -> None:
     """Of an analytic knee and of a real one."""
     signals = _signals(request.getfixturevalue(which))

@@ -1,10 +1,11 @@
 """Every reader and every verb, with whole files and calls to change and what is done with them."""
 
+import io
 import json
 import shutil
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, redirect_stderr
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -269,7 +270,8 @@ def _resume(content: bytes, folder: Path) -> str:
 
 
 def _resume_in(folder: Path) -> None:
-    with open_work(folder / "work.sqlite", ABOUT) as store:
+    # Where it goes on is said, and no fault.
+    with open_work(folder / "work.sqlite", ABOUT) as store, redirect_stderr(io.StringIO()):
         found = resumable_map(_square, range(8), store=store, name="squares")
     expected = [_square(x) for x in range(8)]
     if found != expected:

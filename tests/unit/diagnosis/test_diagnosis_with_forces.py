@@ -134,6 +134,7 @@ def test_nuisances_of_the_table_are_those_of_its_forces(reference: Knee) -> None
     assert np.isclose(columns, toe[:, None]).all(axis=0).any()
 
 
+@pytest.mark.slow
 def test_errors_of_a_rig_are_none_of_the_extended_knee(reference: Knee, tmp_path: Path) -> None:
     laxity = _measured(reference, 1, every=9)
     rig = Experiment(name="a", rig="robot", mounting="robot-1", uncertainty={"load_cell_N": 3.0})
