@@ -595,7 +595,6 @@ def fit(
         **simulated(model, prediction),
         start=start_word(start),
         search=found,
-        # They were read as components, as a stored answer has them.
         data=replace(laxity, is_definition_stated=True),
         rmse=error,
         trials_used=() if found.outcome is Outcome.START_FAILED else used.names,
