@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 
 import numpydoc.docscrape_sphinx
+from docutils import nodes
+from docutils.parsers.rst import roles
 from jinja2 import FileSystemBytecodeCache
 
 HERE = Path(__file__).parent
@@ -98,6 +100,10 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
+
+
+# A role that matplotlib has in docstrings which a figure of ours inherits.
+roles.register_generic_role("mpltype", nodes.literal)
 
 
 def setup(app):
