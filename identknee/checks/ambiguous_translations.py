@@ -22,7 +22,7 @@ USUAL: Translations = "projections"
 UNSTATED_MM = 1.0
 # Rise of the deviance by which the data tell one definition from another, also where the model is
 # wrong or a search ended too high.
-TOLD = 30.0
+CLEAR_RISE = 30.0
 # Another definition is fitted if the linear model leaves at most so much more than that.
 PROMISING = 100.0
 BUDGET = 60
@@ -90,15 +90,15 @@ def refitted_translations_findings(
             continue
         other = _refitted(problem, fits)
         rise = (other.deviance - fits[0].deviance) / scale
-        if definition != USUAL and not rise <= TOLD:
+        if definition != USUAL and not rise <= CLEAR_RISE:
             continue
         names, words = _differences(fits[0], other)
         said = f"as {definition} they differ by up to {most.change_mm:.1f} mm"
         if definition == USUAL:
-            told = "nothing fits"
+            how_well = "nothing fits"
             if np.isfinite(rise):
-                told = f"deviance {abs(rise):.0f} {'higher' if rise > 0 else 'lower'}"
-            said += f", with {words[0] if words else 'the same parameters'} ({told})"
+                how_well = f"deviance {abs(rise):.0f} {'higher' if rise > 0 else 'lower'}"
+            said += f", with {words[0] if words else 'the same parameters'} ({how_well})"
         values = {x: float(other.theta[other.parameters.index(x)]) for x in names}
         made[definition] = (most, said, float(rise), values)
     if USUAL not in made:
@@ -109,8 +109,8 @@ def refitted_translations_findings(
         "rise": {k: x[2] for k, x in made.items()},
         "parameters": {k: x[3] for k, x in made.items()},
     }
-    is_told = min(x[2] for x in made.values()) > TOLD
-    severity = Severity.INFO if is_told else Severity.WARNING
+    is_clear = min(x[2] for x in made.values()) > CLEAR_RISE
+    severity = Severity.INFO if is_clear else Severity.WARNING
     return (_found(made[USUAL][0], sentence, severity, **more),)
 
 
@@ -185,7 +185,7 @@ def _largest_change(
 def _found(
     most: _Change, sentence: str, severity: Severity = Severity.WARNING, **values: object
 ) -> Finding:
-    told = {"change_mm": most.change_mm, "trial": most.trial, "coordinate": most.coordinate}
+    about = {"change_mm": most.change_mm, "trial": most.trial, "coordinate": most.coordinate}
     return finding(
-        "translations-ambiguous", "data", told | values, sentence=sentence, severity=severity
+        "translations-ambiguous", "data", about | values, sentence=sentence, severity=severity
     )

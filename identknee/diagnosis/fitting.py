@@ -36,9 +36,11 @@ from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score import CandidateScore, Scores
 from identknee.identify.laplace import Laplace, laplace, log_evidence
 from identknee.identify.optimum import (
+    NEARLY_GONE,
     NuisanceEstimate,
     NuisanceGroup,
     best_fits,
+    nearly_gone,
     nuisance_estimates,
     nuisance_groups,
     sobol_around,
@@ -69,8 +71,8 @@ MOST_STEPS = 40
 STRAIGHT_STEPS = 12
 # A prior that was not asked for is so many times as wide, and one of a ligament that carries
 # nothing: ten times as wide, the prior of its stiffness still held a torn one at 4e-4 kN, where it
-# moved the knee by 1.4 sd of the noise. A share of the stiffness that carries nothing.
-WIDER, WIDER_IF_IDLE, NEARLY_GONE = 10.0, 1000.0, 0.02
+# moved the knee by 1.4 sd of the noise.
+WIDER, WIDER_IF_IDLE = 10.0, 1000.0
 # How often a search without a torn ligament goes on where it ran out of steps.
 MOST_ROUNDS = 3
 # A fit that is less probable under noise is searched for anew unless it ended at a minimum, in
@@ -392,7 +394,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     fitted = best_fit_from(model, laxity, plain, begin)
     if fitted.outcome is not Outcome.MINIMUM:
         # From the subject's own stiffness no search finds its way across cliffs to a torn ligament.
-        torn = best_fit_from(model, laxity, plain, _nearly_gone(model, begin[0]))
+        torn = best_fit_from(model, laxity, plain, [*nearly_gone(model.parameters, begin[0])])
         fitted = min(fitted, torn, key=lambda x: x.evaluation.deviance)
     if not fitted.evaluation.is_finite:
         return BaseFit(fitted=fitted, noise=stated)
@@ -400,15 +402,6 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     if noise is None:  # pragma: no cover - it was found before
         return None
     return BaseFit(fitted=fitted_with_nuisances(fitted, noise.sd, noise.correlation), noise=noise)
-
-
-def _nearly_gone(model: LaxityModel, theta: Array) -> list[Array]:
-    """Parameters with one ligament nearly without stiffness, each in turn."""
-    starts = []
-    for i in range(model.tied.n):
-        starts.append(np.array(theta))
-        starts[-1][i] *= NEARLY_GONE
-    return starts
 
 
 def fitted_with_nuisances(fitted: FittedModel, sd: Array, correlation: float) -> FittedModel:

@@ -130,7 +130,7 @@ def with_fits_from(
     around = fit_many(problem, points, seed=seed, executor=executor, **brief)
     fits = sorted([first, *around], key=lambda one: one.objective)
     if _misfit_ratio(problem, fits[0]) > GROSS:
-        gone = _nearly_gone(problem.parameters, first.start, held)
+        gone = nearly_gone(problem.parameters, first.start, held)
         found = fit_many(problem, gone, seed=seed, executor=executor, **brief)
         fits = sorted([*fits, *found], key=lambda one: one.objective)
     if budget is None:
@@ -155,10 +155,10 @@ def _misfit_ratio(problem: Problem, found: Fit) -> float:
     return float(residuals @ residuals) / max(residuals.size - found.theta.size, 1)
 
 
-def _nearly_gone(parameters: Parameters, start: Array, held: Sequence[int]) -> Array:
+def nearly_gone(parameters: Parameters, start: Array, held: Sequence[int] = ()) -> Array:
     """The start with one stiffness nearly gone, each in turn that is not held, ``(k, n)``."""
     varied = parameters.is_log & parameters.is_of_interest
-    varied[held] = False
+    varied[list(held)] = False
     places = np.flatnonzero(varied)
     points = np.tile(start, (places.size, 1))
     points[np.arange(places.size), places] *= NEARLY_GONE

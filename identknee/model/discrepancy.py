@@ -163,7 +163,7 @@ class SmoothDiscrepancy:
 
     @property
     def words(self) -> str:
-        """Its size by coordinate, such as ``anterior_mm 0.4, varus_deg 1.2``."""
+        """Its size by coordinate, such as ``anterior_drawer_mm 0.4, varus_deg 1.2``."""
         sizes = zip(COORDINATES, self.sd, strict=True)
         return ", ".join(f"{name} {sd:.2g}" for name, sd in sizes if sd > 0.0)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.checks.ambiguous_translations import TOLD
+from identknee.checks.ambiguous_translations import CLEAR_RISE
 from identknee.checks.left_out_trials import trials_asked
 from identknee.laxity.table import Laxity, read_laxity, write_laxity
 from identknee.laxity.translations import to_components
@@ -72,7 +72,7 @@ def test_fit_says_what_the_other_reading_gives(measured: Laxity, tmp_path: Path)
     rise = said.values["rise"]["projections"]
     assert rise > 0.0
     # Where the data exclude the other reading there is nothing to warn of.
-    assert (said.severity is Severity.INFO) == (rise > TOLD)
+    assert (said.severity is Severity.INFO) == (rise > CLEAR_RISE)
 
 
 def test_other_verbs_do_not_pass_it_over(measured: Laxity, tmp_path: Path) -> None:
