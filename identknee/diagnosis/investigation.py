@@ -29,11 +29,9 @@ from identknee.diagnosis.gain import Gain, measure_gain
 from identknee.diagnosis.misfit import Localisation, TrialLayout, localise
 from identknee.diagnosis.missing_line import (
     LineFinding,
-    MissingWrench,
     Pull,
     find_line,
     missing_pulls,
-    missing_wrench,
 )
 from identknee.diagnosis.score import LEVEL
 from identknee.diagnosis.verdict import (
@@ -55,6 +53,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.missing_wrench import MissingWrench, missing_wrench
 from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, Severity, finding

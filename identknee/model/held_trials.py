@@ -34,18 +34,20 @@ class HeldTrials:
     laxity
         Their measured poses. What was not measured is that of the trial nearest in flexion, or of
         the scanned pose.
+    held_model
+        The model, each trial held near its measured pose where it has no equilibrium.
     """
 
     model: LaxityModel
     laxity: Laxity
-    _held: LaxityModel = field(init=False, repr=False)
+    held_model: LaxityModel = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         held = self.model
         if not held.paths.is_released:
             poses = holding_poses(held.joint.start, self.laxity)
             held = replace(held, poses=poses, fallback_poses=None)
-        object.__setattr__(self, "_held", held)
+        object.__setattr__(self, "held_model", held)
 
     def predict(self, theta: Array) -> tuple[Array, Array, Array]:
         """Poses of the trials, each held as far as it takes, and how much is lacking.
@@ -64,7 +66,7 @@ class HeldTrials:
             1 where the softest spring holds the knee, one more for each stiffer one that it takes,
             shape ``(n,)``.
         """
-        found = self._held.predict_once(theta)
+        found = self.held_model.predict_once(theta)
         is_held = found.released > 0.0
         stiffer = np.searchsorted(-LEVELS, -found.released)
         # Nothing holds it: it is as if it stood where it is held, whatever the parameters are.

@@ -340,6 +340,15 @@ _ALL = (
         distinct=("trials",),
     ),
     FindingKind(
+        code="missing-restraint",
+        severity=INFO,
+        about=About.TRIALS,
+        meaning="The forces that are missing at the measured poses of trials without equilibrium, "
+        "and the structures that would supply them.",
+        remedy="Add such a structure to the subject, for example a capsule, and fit again.",
+        distinct=("trials",),
+    ),
+    FindingKind(
         code="trials-without-equilibrium",
         severity=INFO,
         about=About.TRIALS,

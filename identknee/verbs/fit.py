@@ -45,6 +45,7 @@ from identknee.checks.fit_checks import (
 )
 from identknee.checks.left_out_trials import named_trials
 from identknee.checks.limit_price import PlausibilityPrice, plausibility_price
+from identknee.checks.missing_restraint import missing_restraint_findings
 from identknee.checks.term_agreement import agreement_findings, term_agreement
 from identknee.checks.usable_trials import (
     TrialSearch,
@@ -700,4 +701,5 @@ def _findings(
         found.parameters,
     )
     defined = refitted_translations_findings(trials, laxity, fits, scale)
-    return check_fit(fitted, (*lost, *few, *starts, *defined, *others))
+    missing = missing_restraint_findings(model, table, prediction, error)
+    return check_fit(fitted, (*lost, *missing, *few, *starts, *defined, *others))

@@ -58,7 +58,7 @@ def test_a_trial_that_cannot_be_reached_is_left_out_and_named() -> None:
     assert found.trials_used == tuple(x for x in laxity.protocol.trials if x != name)
     assert [x.trial for x in found.trials_without_equilibrium] == [name]
     assert found.rmse.n_compared == laxity.is_measured.sum() - 5
-    (finding,) = [x for x in found.findings if x.where == "trials"]
+    (finding,) = [x for x in found.findings if x.code == "trials-lost"]
     assert (finding.code, finding.severity) == ("trials-lost", Severity.WARNING)
     assert finding.values["n_used"] == finding.values["n_measured"] - 1 == laxity.n - 1
     assert finding.values["trials"] == [name]

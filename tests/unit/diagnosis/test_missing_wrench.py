@@ -8,11 +8,12 @@ from line_gradient import line_gradient
 from small_knee import small_knee, small_protocol
 
 from identknee.diagnosis.misfit import TrialLayout
-from identknee.diagnosis.missing_line import MissingWrench, missing_pulls, missing_wrench
+from identknee.diagnosis.missing_line import missing_pulls
 from identknee.laxity.table import COORDINATES, Laxity, add_noise
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.missing_wrench import MissingWrench, missing_wrench
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 

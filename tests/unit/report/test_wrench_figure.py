@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 
 from identknee.diagnosis.misfit import LEVEL
-from identknee.diagnosis.missing_line import missing_wrench
 from identknee.diagnosis.verdict import Verdict
+from identknee.model.missing_wrench import missing_wrench
 from identknee.report.diagnosis_figures import SHOWN, largest_pulls, wrench_figure
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnosis import Diagnosis
