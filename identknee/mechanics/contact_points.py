@@ -1,6 +1,7 @@
 """The points at which contact is evaluated: centroids of equal patches of the tibial surface."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 
@@ -98,10 +99,15 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     return centroid, area
 
 
+# Poses whose contact is looked for at once: 100 MB of places.
+AT_ONCE = 200
+
+
 @declared
 class ContactPlaces:
-    """The k points of the tibia that touch the femur in one pose."""
+    """The k points of the tibia that touch the femur, in one pose or in several."""
 
+    pose: IntArray = entry("In which pose they touch, shape ``(k,)``")
     index: IntArray = entry("Which contact points they are, shape ``(k,)``")
     femoral: Array = entry("Where they are, in the axes of the field [mm], shape ``(k, 3)``")
     outward: Array = entry("Gradient of the femur's distance there, shape ``(k, 3)``")
@@ -111,31 +117,60 @@ class ContactPlaces:
     force: Array = entry("Force of each [N], shape ``(k,)``")
     stiffness: Array = entry("Derivative of the force by the depth [N/mm], shape ``(k,)``")
 
+    def of_pose(self, number: int) -> "ContactPlaces":
+        """Those of one of the poses."""
+        own = self.pose == number
+        return ContactPlaces(**{x: getattr(self, x)[own] for x in CONTACT_ARRAYS})
+
+    def wrenches(self, n: int) -> Array:
+        """Their force on the tibia along each freedom of n poses, without its sign, ``(n, 5)``."""
+        each = self.force[:, None] * self.deepening
+        return np.stack([np.bincount(self.pose, x, n) for x in each.T], axis=1)
+
+
+CONTACT_ARRAYS = tuple(x.name for x in fields(ContactPlaces))
+
 
 def contact_places(
-    contact: ContactPoints, field: DistanceField, flexion: float, pose: Array
+    contact: ContactPoints, field: DistanceField, flexion: Array, poses: Array
 ) -> ContactPlaces:
-    """The contact at `flexion` [rad] and a pose (5,), with the forces of the kernel's law."""
-    placement, law = place(flexion, pose), contact.law or ContactLaw()
-    places = field.to_field(placement.to_femur(contact.points))
+    """The contact at flexion angles ``(n,)`` [rad] and poses ``(n, 5)``, by the kernel's law."""
+    parts = [
+        _contact_places(contact, field, flexion[i : i + AT_ONCE], poses[i : i + AT_ONCE])
+        for i in range(0, max(len(poses), 1), AT_ONCE)
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    whole = {x: np.concatenate([getattr(y, x) for y in parts]) for x in CONTACT_ARRAYS}
+    first = np.repeat(AT_ONCE * np.arange(len(parts)), [len(x.pose) for x in parts])
+    return ContactPlaces(**{**whole, "pose": whole["pose"] + first})
+
+
+def _contact_places(
+    contact: ContactPoints, field: DistanceField, flexion: Array, poses: Array
+) -> ContactPlaces:
+    placed, law = place(flexion, poses), contact.law or ContactLaw()
+    places = field.to_field(placed.to_femur(contact.points))
     # Cells that may hold contact; those at the grid's faces do not.
     last = np.array(field.reach.shape) - 1
     cell = np.clip(np.floor((places - field.origin) / field.spacing), 0, last).astype(np.int64)
-    index = np.flatnonzero(field.reach[cell[:, 0], cell[:, 1], cell[:, 2]] > 0)
-    distance, outward = distances(field, places[index])
+    pose, index = np.nonzero(field.reach[cell[..., 0], cell[..., 1], cell[..., 2]] > 0)
+    femoral = places[pose, index]
+    distance, outward = distances(field, femoral)
     inside = distance < law.rounding
-    index, depth = index[inside], -distance[inside]
-    jacobian = placement.jacobian(contact.points[index])
+    pose, index, depth, outward = pose[inside], index[inside], -distance[inside], outward[inside]
+    jacobian = placed.jacobian(contact.points[index], pose)
     if field.turn is not None:
         jacobian = jacobian @ field.turn.T
     pressure, slope = law.pressure(depth)
     return ContactPlaces(
+        pose=pose,
         index=index,
-        femoral=places[index],
-        outward=outward[inside],
+        femoral=femoral[inside],
+        outward=outward,
         depth=depth,
         jacobian=jacobian,
-        deepening=-np.einsum("kai,ki->ka", jacobian, outward[inside]),
+        deepening=-np.einsum("kai,ki->ka", jacobian, outward),
         force=contact.areas[index] * pressure,
         stiffness=contact.areas[index] * slope,
     )

@@ -8,8 +8,8 @@ the tibial origin in femoral axes that turn with flexion.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import declared, entry
 
 
 def rotation_matrix(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -> Array:
@@ -59,33 +59,48 @@ _ABOUT_Y = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
 
 @declared
 class Placement:
-    """A rigid displacement ``x_femur = rotation x_tibia + translation`` and how it varies."""
+    """A rigid displacement ``x_femur = rotation x_tibia + translation`` and how it varies.
 
-    rotation: Array = array("``Rz(-flexion) Rx(varus) Ry(internal)``", "3", "3")
-    translation: Array = array("Tibial origin in femoral axes", "3", unit="mm")
-    first: Array = array(
-        "Derivatives of the rotation by varus and by internal rotation", "2", "3", "3"
+    Or n of them, with n as the first length of all arrays.
+    """
+
+    rotation: Array = entry("``Rz(-flexion) Rx(varus) Ry(internal)``, shape ``(..., 3, 3)``")
+    translation: Array = entry("Tibial origin in femoral axes [mm], shape ``(..., 3)``")
+    first: Array = entry(
+        "Derivatives of the rotation by varus and by internal rotation, shape ``(..., 2, 3, 3)``"
     )
-    second: Array = array(
-        "Its second derivatives by varus, varus; varus, internal; internal, internal", "3", "3", "3"
+    second: Array = entry(
+        "Its second derivatives by varus, varus; varus, internal; internal, internal, shape "
+        "``(..., 3, 3, 3)``"
     )
-    axes: Array = array("Derivatives of the translation by x, y and z, one a row", "3", "3")
+    axes: Array = entry(
+        "Derivatives of the translation by x, y and z, one a row, shape ``(..., 3, 3)``"
+    )
 
     def to_femur(self, points: Array) -> Array:
-        """Tibial `points` (n, 3) [mm] in femoral axes."""
-        return np.asarray(points @ self.rotation.T + self.translation)
+        """Tibial `points` (k, 3) [mm] in femoral axes, ``(k, 3)`` or ``(n, k, 3)``."""
+        turned = points @ np.swapaxes(self.rotation, -1, -2)
+        return np.asarray(turned + self.translation[..., None, :])
 
     def to_tibia(self, points: Array) -> Array:
-        """Femoral `points` (n, 3) [mm] in tibial axes."""
-        return np.asarray((points - self.translation) @ self.rotation)
+        """Femoral `points` (k, 3) [mm] in tibial axes."""
+        return np.asarray((points - self.translation[..., None, :]) @ self.rotation)
 
-    def jacobian(self, points: Array) -> Array:
-        """Derivatives of the femoral position of tibial `points` (n, 3), shape ``(n, 5, 3)``."""
-        jacobian = np.empty((len(points), 5, 3))
-        for k in range(2):
-            jacobian[:, k] = points @ self.first[k].T
-        jacobian[:, 2:] = self.axes
-        return jacobian
+    def each_to_femur(self, points: Array, pose: IntArray) -> Array:
+        """Tibial points (k, 3) in femoral axes, each displaced as its pose (k,) is, ``(k, 3)``."""
+        turned = np.einsum("kij,kj->ki", self.rotation[pose], points)
+        return np.asarray(turned + self.translation[pose])
+
+    def jacobian(self, points: Array, pose: IntArray | None = None) -> Array:
+        """Derivatives of the femoral position of tibial `points` (k, 3), shape ``(k, 5, 3)``.
+
+        Of n displacements `pose` says which is that of each point, shape ``(k,)``.
+        """
+        first, axes = self.first, self.axes
+        if pose is not None:
+            first, axes = first[pose], axes[pose]
+        turned = np.einsum("...aij,...j->...ai", first, points)
+        return np.concatenate([turned, np.broadcast_to(axes, (len(points), 3, 3))], axis=1)
 
     def bending(self, points: Array, forces: Array) -> Array:
         """Second derivative of ``sum forces . position`` of tibial `points`, shape ``(5, 5)``."""
@@ -96,8 +111,10 @@ class Placement:
         return bending
 
 
-def place(flexion: float, pose: Array) -> Placement:
+def place(flexion: ArrayLike, pose: Array) -> Placement:
     """The placement at `flexion` [rad] and `pose`: varus, internal [rad], x, y, z [mm].
+
+    Those of n poses with flexion ``(n,)`` and pose ``(n, 5)``.
 
     Examples
     --------
@@ -105,25 +122,32 @@ def place(flexion: float, pose: Array) -> Placement:
     >>> placement.to_tibia(placement.to_femur(np.array([[4.0, 5.0, 6.0]]))).round(12)
     array([[4., 5., 6.]])
     """
-    varus, internal = float(pose[0]), float(pose[1])
-    flexed = rotation_matrix(flexion, 0.0, 0.0)
-    about_x, about_y = rotation_matrix(0.0, varus, 0.0), rotation_matrix(0.0, 0.0, internal)
+    varus, internal = pose[..., 0], pose[..., 1]
+    none = np.zeros_like(varus)
+    flexed = _turns(flexion, none, none)
+    about_x, about_y = _turns(none, varus, none), _turns(none, none, internal)
     # A turn about a fixed axis differentiates to the axis' cross product times the turn.
     by_varus = flexed @ _ABOUT_X @ about_x @ about_y
     by_internal = flexed @ about_x @ _ABOUT_Y @ about_y
     return Placement(
         rotation=flexed @ about_x @ about_y,
-        translation=flexed @ pose[2:],
-        first=np.stack([by_varus, by_internal]),
+        translation=(flexed @ pose[..., 2:, None])[..., 0],
+        first=np.stack([by_varus, by_internal], axis=-3),
         second=np.stack(
             [
                 flexed @ _ABOUT_X @ _ABOUT_X @ about_x @ about_y,
                 flexed @ _ABOUT_X @ about_x @ _ABOUT_Y @ about_y,
                 flexed @ about_x @ _ABOUT_Y @ _ABOUT_Y @ about_y,
-            ]
+            ],
+            axis=-3,
         ),
-        axes=flexed.T,
+        axes=np.swapaxes(flexed, -1, -2),
     )
+
+
+def _turns(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -> Array:
+    """Rotation matrices, shape ``(..., 3, 3)``."""
+    return np.moveaxis(rotation_matrix(flexion, varus, internal), (0, 1), (-2, -1))
 
 
 def coordinates_from_pose(pose: Array) -> Array:

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from identknee.mechanics.compartment_loads import CompartmentLoads, compartment_loads
-from identknee.mechanics.distance_field import DistanceField
-from identknee.mechanics.equilibria import ContactPoints
 from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 
 # In the order of the tibial surfaces of a knee.
 COMPARTMENTS = ("medial", "lateral")
@@ -54,57 +52,57 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
             rows = [i for i, x in enumerate(trials) if x in place]
             if rows:
                 own = [place[trials[i]] for i in rows]
-                found = contact_jacobian(part.model, part.prediction(prediction), own)
-                part.spread(found, jacobian, np.array(rows))
+                of_part = contact_jacobian(part.model, part.prediction(prediction), own)
+                part.spread(of_part, jacobian, np.array(rows))
         return jacobian
     amplitudes = model.amplitudes(theta)
     settings = model.extension.changes(model.setting(theta, is_changed=False), amplitudes)
     contact, field = model.surfaces(settings[-1])
-    # Each with the field of its surfaces, which all trials share.
-    pairs = [
-        (k, step, [(x, *model.surfaces(x)) for x in (low, high)])
-        for k, step, low, high in model.extension.contact_pairs(settings, amplitudes)
-    ]
-    for row, trial in enumerate(trials):
-        if not prediction.is_converged[trial]:
-            continue
-        node, pose = int(model.paths.trial_node[trial]), prediction.poses[trial]
-        flexion = float(settings[-1].flexion[node])
-        loads = compartment_loads(contact, field, flexion, pose, model.joint.contact.points)
-        jacobian[row] = loads.by_pose @ prediction.pose_jacobian[trial]
-        if pairs:
-            made = [_change(loads, step, x, node, pose) for _, step, x in pairs]
-            changes = loads.derivatives(
-                np.stack([x for x, _ in made], axis=2), np.stack([x for _, x in made], axis=1)
-            )
-            columns = [model.n_ligament_parameters + k for k, _, _ in pairs]
-            jacobian[row, :, :, columns] += np.moveaxis(changes, 2, 0)
+    pairs = [*model.extension.contact_pairs(settings, amplitudes)]
+    asked = np.array(trials, dtype=np.int64)
+    found = np.flatnonzero(prediction.is_converged[asked])
+    used = asked[found]
+    nodes, poses = model.paths.trial_node[used], prediction.poses[used]
+    flexion = settings[-1].flexion[nodes]
+    loads = compartment_loads(contact, field, flexion, poses, model.joint.contact.points)
+    jacobian[found] = loads.by_pose @ prediction.pose_jacobian[used][:, None]
+    if pairs:
+        touching, points = loads.touching, model.joint.contact.points
+        moved = [_motion(low, high, nodes, poses) / step for _, step, low, high in pairs]
+        motion = _moved(np.stack(moved, axis=-1), points[touching.index], touching.pose)
+        stronger = [_strengthening(loads, low, high) / step for _, step, low, high in pairs]
+        changes = loads.derivatives(motion, np.stack(stronger, axis=1))
+        for i, (k, _, _, _) in enumerate(pairs):
+            jacobian[found, :, :, model.n_ligament_parameters + k] += changes[..., i]
     return jacobian
 
 
-Surfaces = tuple[MechanicsInputs, ContactPoints, DistanceField]
+# A rigid motion of a bone is known from that of four points, as far apart as those of contact.
+APART = 50.0  # mm
+CORNERS = np.vstack([np.zeros(3), APART * np.eye(3)])
 
 
-def _change(
-    found: CompartmentLoads, step: float, ends: Sequence[Surfaces], node: int, pose: Array
-) -> tuple[Array, Array]:
-    """How the points that touch move, and their force at the same depth changes, by an amplitude.
+def _motion(low: MechanicsInputs, high: MechanicsInputs, nodes: IntArray, poses: Array) -> Array:
+    """How far the corners of the tibia move in the axes of the femur's distance, ``(n, 4, 3)``."""
+    places = []
+    for setting in (low, high):
+        frames, placed = setting.frames, place(setting.flexion[nodes], poses)
+        if frames is None:
+            places.append(placed.to_femur(CORNERS))
+        else:
+            places.append(frames.to_bone(placed.to_femur(frames.to_measured(CORNERS, 1)), 0))
+    return np.asarray(places[1] - places[0])
 
-    Parameters
-    ----------
-    found
-        The contact.
-    step
-        Difference of the amplitude.
-    ends
-        Inputs and surfaces with it a little smaller and larger.
-    node, pose
-        Flexion angle and pose of the trial.
-    """
-    touching, places, forces = found.touching, [], []
-    placed = {x: place(x, pose) for x in {float(one.flexion[node]) for one, _, _ in ends}}
-    for setting, contact, field in ends:
-        on_femur = placed[float(setting.flexion[node])].to_femur(contact.points[touching.index])
-        places.append(field.to_field(on_femur))
-        forces.append(found.force_under(setting.law))
-    return (places[1] - places[0]) / step, (forces[1] - forces[0]) / step
+
+def _moved(corners: Array, points: Array, pose: IntArray) -> Array:
+    """Motion of points (k, 3), each in its pose, where corners move by ``(n, 4, 3, a)``."""
+    first, others = corners[:, 0], corners[:, 1:]
+    turned = np.einsum("kj,kjia->kia", points / APART, (others - first[:, None])[pose])
+    return np.asarray(first[pose] + turned)
+
+
+def _strengthening(found: CompartmentLoads, low: MechanicsInputs, high: MechanicsInputs) -> Array:
+    """How much the force of each point changes with the contact law, as deep as it is."""
+    if low.law is high.law or low.law == high.law:
+        return np.zeros(len(found.force))
+    return found.force_under(high.law) - found.force_under(low.law)

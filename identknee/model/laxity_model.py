@@ -696,13 +696,15 @@ def trial_contacts(model: LaxityModel, prediction: Prediction) -> list[ContactPl
             )
         }
         return [found[i] for i in range(len(prediction.codes))]
+    whole = contact_of_trials(model, prediction)
+    return [whole.of_pose(i) for i in range(len(prediction.codes))]
+
+
+def contact_of_trials(model: LaxityModel, prediction: Prediction) -> ContactPlaces:
+    """The contact of all trials of a model of one part, in their predicted poses."""
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
-    contact, field = model.surfaces(setting)
-    return [
-        contact_places(contact, field, float(angle), pose)
-        for angle, pose in zip(flexion, prediction.poses, strict=True)
-    ]
+    return contact_places(*model.surfaces(setting), flexion, prediction.poses)
 
 
 def observed_slopes(model: LaxityModel, prediction: Prediction) -> Array:

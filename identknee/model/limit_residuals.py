@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, softmax
+from scipy.special import log_ndtr
 
 from identknee.laxity.protocol import LOADS, WAYS, Protocol, dominant_loads
 from identknee.model.contact_loads import COMPARTMENTS, contact_jacobian, contact_values
@@ -112,12 +112,13 @@ class LimitResiduals:
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
-        rows = [
-            _residual(x, value)[1] * slopes if np.isfinite(value) else np.zeros(theta.size)
-            for x, (value, slopes) in zip(
-                self.limits, self._found(theta, has_slopes=True), strict=True
-            )
+        by_value = [
+            _residual(limit, value)[1] if np.isfinite(value) else 0.0
+            for limit, value in zip(self.limits, self.values(theta), strict=True)
         ]
+        # Most slopes take longer than a simulation, and most limits are far from reached.
+        slopes = self._found(theta, has_slopes=True, wanted=[x != 0.0 for x in by_value])
+        rows = [factor * row for factor, (_, row) in zip(by_value, slopes, strict=True)]
         return np.array(rows).reshape(self.n, theta.size)
 
     def values(self, theta: Array) -> Array:
@@ -143,8 +144,10 @@ class LimitResiduals:
             for x, value, left in found
         )
 
-    def _found(self, theta: Array, *, has_slopes: bool) -> list[tuple[float, Array]]:
-        """Value and derivatives of what each limit is about."""
+    def _found(
+        self, theta: Array, *, has_slopes: bool, wanted: Sequence[bool] | None = None
+    ) -> list[tuple[float, Array]]:
+        """Value and derivatives of what each limit is about; zeros where it is not wanted."""
         touched = [x for i, x in enumerate(self._counts) if not self._members[i]]
         in_contact = np.flatnonzero(np.any(touched, axis=0)).tolist() if touched else []
         of_trials = _Loads(self.model, theta, has_slopes=has_slopes, in_contact=in_contact)
@@ -154,7 +157,9 @@ class LimitResiduals:
             of_standard = _Loads(self._standard, theta, has_slopes=has_slopes, in_contact=every)
         found = []
         for i, limit in enumerate(self.limits):
-            if limit.load and of_standard is not None:
+            if wanted is not None and not wanted[i]:
+                found.append((0.0, np.zeros(theta.size)))
+            elif limit.load and of_standard is not None:
                 counts = np.arange(self._standard.protocol.n) == self._at[i]  # type: ignore[union-attr]
                 found.append(of_standard.reduced(limit, self._members[i], counts))
             else:
@@ -197,7 +202,8 @@ class _Loads:
             if not known.any():
                 return np.nan, np.zeros(self.n_parameters)
             flat, rows = flat[known], rows[known]
-            return float(soft * logsumexp(flat / soft)), softmax(flat / soft) @ rows
+            total = np.logaddexp.reduce(flat / soft)
+            return float(soft * total), np.exp(flat / soft - total) @ rows
         whole = values.sum(axis=1)
         return float(whole.mean()), slopes.sum(axis=1).mean(axis=0)
 

@@ -44,7 +44,7 @@ class MeasuredFrames:
     def pose(self, flexion: float, pose: Array) -> Array:
         """The pose (5,) between these frames where that between those of the geometry is given."""
         placed = place(flexion, pose)
-        between = placed.to_femur(self.shifts[1]) - self.shifts[0]
+        between = placed.to_femur(self.shifts[1][None])[0] - self.shifts[0]
         turn: Array = self.turns[0].T @ placed.rotation @ self.turns[1]
         _, between_frames = start_pose(turn, self.turns[0].T @ between)
         return between_frames

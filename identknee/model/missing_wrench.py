@@ -9,7 +9,12 @@ from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import coordinate_jacobian, rotation_matrix
 from identknee.model.held_trials import HeldTrials
-from identknee.model.laxity_model import LaxityModel, observed_slopes, trial_contacts
+from identknee.model.laxity_model import (
+    LaxityModel,
+    contact_of_trials,
+    observed_slopes,
+    trial_contacts,
+)
 from identknee.model.mechanics_inputs import holding_poses
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
@@ -146,7 +151,7 @@ def unbalanced_load(model: LaxityModel, prediction: Prediction) -> Array:
         setting.stiffness,
         setting.reference_strain,
     )
-    contact = np.stack([x.force @ x.deepening for x in trial_contacts(model, prediction)])
+    contact = contact_of_trials(model, prediction).wrenches(len(prediction.codes))
     return np.asarray(ligaments.gradient + contact - setting.loads[nodes])
 
 

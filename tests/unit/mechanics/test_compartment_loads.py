@@ -28,17 +28,14 @@ def model() -> LaxityModel:
 
 def _at(joint: ContactGeometry, pose: Array, law: ContactLaw) -> CompartmentLoads:
     contact = replace(joint.contact, law=law)
-    return compartment_loads(contact, joint.field, 0.0, pose, joint.contact.points)
+    return compartment_loads(contact, joint.field, np.zeros(1), pose[None], joint.contact.points)
 
 
 def test_values_are_those_of_the_kernel(joint: ContactGeometry, model: LaxityModel) -> None:
     found = model.predict(model.parameters.center, derivatives=False)
     flexion = np.radians(model.protocol.flexion_deg)
-    for i, pose in enumerate(found.poses):
-        own = compartment_loads(
-            joint.contact, joint.field, float(flexion[i]), pose, joint.contact.points
-        )
-        np.testing.assert_allclose(own.values, found.centres[i, :, :4], rtol=1e-8, atol=1e-9)
+    own = compartment_loads(joint.contact, joint.field, flexion, found.poses, joint.contact.points)
+    np.testing.assert_allclose(own.values, found.centres[:, :, :4], rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -50,9 +47,9 @@ def test_slopes_by_the_pose_are_those_of_differences(
     for k in range(5):
         move = step * np.eye(5)[k]
         low, high = (_at(joint, pose + x, law).values for x in (-move, move))
-        difference = (high - low) / (2.0 * step)
+        difference = (high - low)[0] / (2.0 * step)
         size = np.abs(difference).max(axis=0)
-        np.testing.assert_allclose(slopes[:, :, k] / size, difference / size, atol=DIFFERENCE)
+        np.testing.assert_allclose(slopes[0, :, :, k] / size, difference / size, atol=DIFFERENCE)
 
 
 def test_slopes_by_the_law_are_those_of_differences(
@@ -65,18 +62,18 @@ def test_slopes_by_the_law_are_those_of_differences(
     assert found.force_under(other) == pytest.approx(1.1 * found.force, rel=CLOSED_FORM)
     still = np.zeros((len(found.force), 3, 1))
     changes = found.derivatives(still, (found.force_under(other) - found.force)[:, None])
-    np.testing.assert_allclose(changes[:, 0, 0], 0.1 * found.values[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(changes[0, :, 0, 0], 0.1 * found.values[0, :, 0], rtol=1e-9)
     # A stiffer cartilage in one pose carries more at the same place.
-    np.testing.assert_allclose(changes[:, 1:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(changes[0, :, 1:], 0.0, atol=1e-9)
 
 
 def test_what_does_not_touch_has_no_centre(joint: ContactGeometry, model: LaxityModel) -> None:
     pose = np.array(model.predict(model.parameters.center, derivatives=False).poses[0])
     pose[3] -= 5.0
     found = _at(joint, pose, LAWS[0])
-    np.testing.assert_array_equal(found.values[:, 0], 0.0)
-    assert np.isnan(found.values[:, 1:]).all()
-    assert not found.by_pose[:, 0].any()
+    np.testing.assert_array_equal(found.values[0, :, 0], 0.0)
+    assert np.isnan(found.values[0, :, 1:]).all()
+    assert not found.by_pose[0, :, 0].any()
 
 
 def test_the_distance_bends_as_its_gradient_changes(joint: ContactGeometry) -> None:

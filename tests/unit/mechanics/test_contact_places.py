@@ -56,7 +56,7 @@ def test_forces_are_those_of_the_kernel(
     evaluator = Evaluator(replace(joint, contact=contact))
     slack = joint.lines.arrays(np.zeros(4), np.zeros(4))
     kernel = evaluator(0.0, pose, slack, NO_LOAD)
-    found = contact_places(contact, joint.field, 0.0, pose)
+    found = contact_places(contact, joint.field, np.array([0.0]), pose[None])
     assert set(found.index.tolist()) == kernel.touching
     gradient = found.force @ found.deepening
     np.testing.assert_allclose(gradient, kernel.gradient, atol=1e-9 * np.abs(gradient).max())
@@ -64,12 +64,15 @@ def test_forces_are_those_of_the_kernel(
 
 def test_slopes_are_those_of_force_and_place(joint: ContactGeometry, pose: Array) -> None:
     contact = replace(joint.contact, law=ContactLaw(exponent=1.3))
-    here = contact_places(contact, joint.field, 0.1, pose)
+    here = contact_places(contact, joint.field, np.array([0.1]), pose[None])
     middle = int(np.argmax(here.force))
     point = here.index[middle]
     step = 1e-6
     for k, move in enumerate(step * np.eye(5)):
-        high, low = (contact_places(contact, joint.field, 0.1, pose + x) for x in (move, -move))
+        high, low = (
+            contact_places(contact, joint.field, np.array([0.1]), (pose + x)[None])
+            for x in (move, -move)
+        )
         at = [int(np.flatnonzero(x.index == point)[0]) for x in (high, low)]
         slope = (high.femoral[at[0]] - low.femoral[at[1]]) / (2.0 * step)
         np.testing.assert_allclose(here.jacobian[middle, k], slope, atol=1e-6)
@@ -80,4 +83,4 @@ def test_slopes_are_those_of_force_and_place(joint: ContactGeometry, pose: Array
 
 def test_far_away_nothing_touches(joint: ContactGeometry, pose: Array) -> None:
     away = pose - np.array([0.0, 0.0, 0.0, 500.0, 0.0])
-    assert contact_places(joint.contact, joint.field, 0.0, away).index.size == 0
+    assert contact_places(joint.contact, joint.field, np.array([0.0]), away[None]).index.size == 0

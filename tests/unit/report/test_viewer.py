@@ -81,7 +81,7 @@ def test_contact_is_where_the_model_has_it(
     for i in (0, 31, 62):
         flexion = float(np.radians(reference_model.protocol.flexion_deg[i]))
         pose = reference_prediction.poses[i]
-        found = contact_places(joint.contact, joint.field, flexion, pose)
+        found = contact_places(joint.contact, joint.field, np.array([flexion]), pose[None])
         depths = found.force / (law.modulus * joint.contact.areas[found.index])
         assert scene.trials[i].depths.max() == pytest.approx(depths.max(), abs=SAMPLED)
         drawn = scene.tibia.vertices[scene.trials[i].near[scene.trials[i].depths > 0.0]]
