@@ -26,7 +26,7 @@ from identknee.runs.notebooks import show_in_notebooks
 from identknee.verbs.printer import Printer, set_printer
 from identknee.verbs.registry import Verb, register
 
-__version__ = "0.1.0"
+__version__ = "0.3.0"
 
 
 def _printer() -> Printer:
