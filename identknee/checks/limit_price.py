@@ -83,8 +83,8 @@ def plausibility_price(
 ) -> PlausibilityPrice | None:
     """What the limits of a fit cost; None where it has none.
 
-    The fit is repeated without each limit that is active, with that alone, and without any, from
-    the fit itself. Ends of all searches are compared under all of these.
+    The fit is repeated without each limit that is active, with that alone, and without any, each
+    from the best end of all searches. Ends are compared under all of these.
 
     Parameters
     ----------
@@ -107,21 +107,20 @@ def plausibility_price(
     active = [i for i in every if at[i].deviance > ACTIVE]
     asked = [(), *((i,) for i in active), *(tuple(j for j in every if j != i) for i in active)]
     searched = with_priors_of(without_priors(everywhere()), problem)
-    rows = _rows(searched)
-    parts = [SelectedResiduals(problem=searched, rows=rows.with_limits(which)) for which in asked]
-    ends = executor.map(partial(_end, search, thetas[0]), parts)
-    found = [(problem.residuals(theta), theta) for theta in (*thetas, *ends)]
-    known = [x for x in found if np.isfinite(x[0]).all()]
-    own = _rows(problem)
-    squares = np.array([x**2 for x, _ in known])
-    base, beyond = squares[:, own.others].sum(axis=1), squares[:, own.limits]
-
-    def least(which: Sequence[int]) -> float:
-        return float((base + beyond[:, list(which)].sum(axis=1)).min())
+    rows, own = _rows(searched), _rows(problem)
+    found = [(problem.residuals(theta), theta) for theta in thetas]
+    known = _Known(found, own)
+    # Each from the best of all that is known of it.
+    parts = [
+        (SelectedResiduals(problem=searched, rows=rows.with_limits(which)), known.best(which))
+        for which in asked
+    ]
+    ends = executor.map(partial(_end, search), parts)
+    known = _Known([*found, *((problem.residuals(theta), theta) for theta in ends)], own)
+    least = known.least
 
     nothing, whole = least(()), least(every)
-    best = int((base + beyond.sum(axis=1)).argmin())
-    without = known[int(base.argmin())][1]
+    without = known.best(())
     values = limits.values(without)
     return PlausibilityPrice(
         limits=tuple(
@@ -134,7 +133,7 @@ def plausibility_price(
             for i in every
         ),
         price=whole - nothing,
-        of_data=float(base[best]) - nothing,
+        of_data=known.paid(every) - nothing,
         without=dict(zip(problem.parameters.names, without.tolist(), strict=True)),
     )
 
@@ -145,5 +144,30 @@ def _rows(problem: Problem) -> _Rows:
     return _Rows(limits=limits, others=np.setdiff1d(whole, limits))
 
 
-def _end(search: Callable[..., Fit], start: Array, problem: Problem) -> Array:
-    return np.asarray(search(problem, start).theta)
+class _Known:
+    """Parameter sets that predict every trial, and what limits add to the deviance of each."""
+
+    def __init__(self, found: Sequence[tuple[Array, Array]], rows: _Rows) -> None:
+        self.thetas = [theta for residuals, theta in found if np.isfinite(residuals).all()]
+        squares = np.array([x**2 for x, _ in found if np.isfinite(x).all()])
+        self.base, self.beyond = squares[:, rows.others].sum(axis=1), squares[:, rows.limits]
+
+    def deviances(self, which: Sequence[int]) -> Array:
+        """Of each set with some limits."""
+        return np.asarray(self.base + self.beyond[:, list(which)].sum(axis=1))
+
+    def least(self, which: Sequence[int]) -> float:
+        """The lowest of them."""
+        return float(self.deviances(which).min())
+
+    def best(self, which: Sequence[int]) -> Array:
+        """The set that has it."""
+        return self.thetas[int(self.deviances(which).argmin())]
+
+    def paid(self, which: Sequence[int]) -> float:
+        """What data and priors contribute to it."""
+        return float(self.base[self.deviances(which).argmin()])
+
+
+def _end(search: Callable[..., Fit], part: tuple[Problem, Array]) -> Array:
+    return np.asarray(search(*part).theta)

@@ -28,7 +28,7 @@ MOST_STARTS = 3
 def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
     """Residuals of each experiment, or of each state of one, and of each kind of force.
 
-    Empty where residuals were mixed to take out errors that trials share.
+    Empty where an error is shared by trials of several: their residuals are mixed to take it out.
 
     Parameters
     ----------
@@ -37,14 +37,15 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
     laxity
         Its data.
     """
-    if residuals_of(problem).shared is not None:
-        return {}
     protocol, inner = laxity.protocol, innermost(problem)
     trials = np.nonzero(laxity.is_measured)[0]
     if protocol.experiment is not None and len(set(protocol.experiment)) > 1:
         labels: tuple[str, ...] = protocol.experiment
     else:
         labels = ("intact",) * laxity.n if protocol.state is None else protocol.state
+    shared = residuals_of(problem).shared
+    if shared is not None and _is_across(shared, labels):
+        return {}
     of = np.array(labels, object)[trials]
     found = {name: np.flatnonzero(of == name) for name in dict.fromkeys(labels)}
     if len(found) == 1:
@@ -55,6 +56,13 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
         names = [x for x in inner.terms if x not in BELIEFS]
         found |= {name: np.arange(ends[i - 1], ends[i]) for i, name in enumerate(names) if i > 0}
     return {name: rows for name, rows in found.items() if rows.size >= LEAST_VALUES}
+
+
+def _is_across(shared: Array, labels: Sequence[str]) -> bool:
+    """Whether an error (n, 5, k) reaches trials of several labels."""
+    _, number = np.unique(labels, return_inverse=True)
+    reached = np.any(np.nan_to_num(shared) != 0.0, axis=1)
+    return any(np.unique(number[column]).size > 1 for column in reached.T)
 
 
 def term_agreement(

@@ -34,8 +34,13 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
 from identknee.model.prediction import Prediction
-from identknee.model.residuals import LaxityResiduals, Weighting
-from identknee.model.superposition_residuals import SuperpositionResiduals
+from identknee.model.residuals import (
+    LaxityResiduals,
+    Weighting,
+    has_shared_errors,
+    shared_errors,
+)
+from identknee.model.superposition_residuals import SuperpositionResiduals, weighed
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
@@ -101,6 +106,8 @@ class TrialSearch:
         As for `LaxityResiduals`.
     bounds, fixed
         As for `identknee.fit`.
+    shared
+        Errors that trials share, as for `LaxityResiduals`.
     """
 
     model: LaxityModel
@@ -108,12 +115,26 @@ class TrialSearch:
     weighting: Weighting
     bounds: Mapping[str, tuple[float, float]]
     fixed: Sequence[str] = ()
+    shared: Array | None = None
 
     @property
     def without_limits(self) -> "TrialSearch":
         """The same where no limit of plausibility counts."""
         knee = self.model.knee.with_plausibility("none")
         return replace(self, model=replace(self.model, knee=knee))
+
+    def linear_at(self, theta: Array) -> "TrialSearch":
+        """The same with the errors that depend on where they are taken; itself without any.
+
+        These are the covariance of in-situ forces, and stated errors that trials share: zeros,
+        single flexion angles and surfaces. They count beside a stated noise alone.
+        """
+        made = self
+        if needs_weights(self.laxity):
+            made = replace(made, laxity=weighed(self.laxity, self.model, theta))
+        if self.weighting == "noise" and has_shared_errors(self.model.knee.uncertainty):
+            made = replace(made, shared=shared_errors(self.model, theta))
+        return made
 
     def used(self, start: Array) -> TrialSelection:
         """The trials to be fitted, and where to begin, at or away from `start`.
@@ -174,13 +195,19 @@ class TrialSearch:
 
     def problem(self, laxity: Laxity) -> Problem:
         """The residuals of the model against `laxity`, with priors of the nuisances."""
-        residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
+        residuals = self.residuals(laxity)
         return with_nuisance_priors(with_bounds(with_other_terms(residuals), self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
         """The same; a trial without equilibrium is held near its measured pose."""
-        residuals = LaxityResiduals(model=self.model, laxity=laxity, weighting=self.weighting)
+        residuals = self.residuals(laxity)
         return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
+
+    def residuals(self, laxity: Laxity) -> LaxityResiduals:
+        """The residuals of the coordinates of `laxity` alone."""
+        return LaxityResiduals(
+            model=self.model, laxity=laxity, weighting=self.weighting, shared=self.shared
+        )
 
     def stretched(self, start: Array, stretch: float) -> Array:
         """`start` with reference strains as the measured poses have them, kept to the bounds."""

@@ -52,7 +52,6 @@ from identknee.checks.usable_trials import (
     TrialSelection,
     excluded_trial_findings,
     input_findings,
-    needs_weights,
     residuals_of,
     starts_elsewhere,
     table_model,
@@ -83,8 +82,6 @@ from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import AT, TENSION
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import (
     OF_COORDINATE,
@@ -546,11 +543,9 @@ def fit(
             "heavy tails are of coordinates alone", "leave out the columns of forces"
         )
     used, found = trials.fitted(theta, partial(fit_student_errors, plain) if is_robust else plain)
-    if needs_weights(laxity) and found.outcome is not Outcome.START_FAILED:
-        laxity = weighed(laxity, model, found.theta)
-        trials = replace(trials, laxity=laxity)
-        used, found = trials.fitted(found.theta, plain)
-        found = replace(found, start=theta)
+    if found.outcome is not Outcome.START_FAILED and not is_robust:
+        trials, used, found = _fit_again(trials, used, found, plain)
+        laxity = trials.laxity
     problem = trials.problem(used.laxity)
     fits: tuple[Fit, ...] = (found,)
     without: tuple[Fit, ...] = ()
@@ -576,7 +571,8 @@ def fit(
             write_subject(knee, run.out / FITTED)
         if is_held.any():
             kept = measured.select(is_held)
-            held = predicted(knee, (problem, used.laxity, found.theta), kept, fixed or ())
+            of_values = replace(trials, shared=None).problem(used.laxity)
+            held = predicted(knee, (of_values, used.laxity, found.theta), kept, fixed or ())
     tails = heavy_tail_findings(problem, used.laxity, found) if is_robust else ()
     whole = with_all_priors(problem) if is_with_priors else problem
     price = None
@@ -619,6 +615,18 @@ def fit(
         nuisances=() if np.isinf(found.objective) else nuisance_estimates(problem, found.theta),
         findings=_findings(trials, used, fits, prediction, error, agreement_findings(compared)),
     )
+
+
+def _fit_again(
+    trials: TrialSearch, used: TrialSelection, found: Fit, search_from: Callable[..., Fit]
+) -> tuple[TrialSearch, TrialSelection, Fit]:
+    """A fit with the errors that are linear at the first one; this where there are none."""
+    linear, start = trials.linear_at(found.theta), found.start
+    if linear is trials:
+        return trials, used, found
+    # The end of a fit with exact zeros may lie in a valley of its own.
+    used, found = linear.fitted(found.theta if linear.shared is None else start, search_from)
+    return linear, used, replace(found, start=start)
 
 
 def _fits_from(
@@ -676,7 +684,7 @@ def _findings(
         return check_unfitted(model, table, (*lost, *unfitted_findings(laxity, prediction)))
     n_free = int(found.parameters.is_of_interest.sum()) - len(found.fixed)
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
-        weighted = LaxityResiduals(model=model, laxity=laxity, weighting="noise")
+        weighted = replace(trials, weighting="noise").residuals(laxity)
         square = misfit_square(with_other_terms(weighted), found.theta)
         misfit = misfit_findings(square, laxity.n_values, n_free)
     else:
