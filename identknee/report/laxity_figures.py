@@ -194,7 +194,7 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
     kept = sorted(whole, key=lambda x: -sum(map(len, whole[x].values())))[:MOST_COLUMNS]
     columns = {k: x for k, x in whole.items() if k in kept}
     rows = [i for i in range(len(COORDINATES)) if _is_drawn(curves, i)]
-    size = (1.4 + 2.5 * len(columns), 1.3 + 1.5 * len(rows))
+    size = (1.3 + 2.1 * len(columns), 1.3 + 1.25 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex=True, sharey="row")
     for column, (acting, directions) in enumerate(columns.items()):

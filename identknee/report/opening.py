@@ -10,6 +10,8 @@ from identknee.runs.record import Record
 from identknee.verbs.answer import Answer
 
 NEXT, GIVEN = "diagnose", ("uncertain", "noise")
+# Findings that come first, and the length of a sentence that is said there as it is.
+MOST_FINDINGS, LONGEST = 3, 240
 
 
 @declared
@@ -19,6 +21,7 @@ class Opening:
     sentences: tuple[str, ...] = entry("With their numbers, and the next command last")
     brief: tuple[str, ...] = entry("The same, each with its first finding alone")
     n_brief: int = entry("Findings that the brief ones say", unit="1")
+    has_command: bool = entry("Whether the next command is among them")
     findings: tuple[Finding, ...] = entry("Findings that need not be said again")
 
     def without(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -59,7 +62,11 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
         sentences.append(f"Next: {command}")
         brief.append(sentences[-1])
     return Opening(
-        sentences=tuple(sentences), brief=tuple(brief), n_brief=n_brief, findings=tuple(said)
+        sentences=tuple(sentences),
+        brief=tuple(brief),
+        n_brief=n_brief,
+        has_command=bool(sentences and command),
+        findings=tuple(said),
     )
 
 
@@ -83,3 +90,14 @@ def _words(record: Record) -> str:
             shown = value if isinstance(value, str) else ",".join(map(str, value))
             words += [f"--{name}", shown]
     return shlex.join(words)
+
+
+def brief_line(finding: Finding) -> str:
+    """A finding on a line or two: its sentence, or what its kind means if that is long.
+
+    An error is said whole: it is what has to be found.
+    """
+    kind, is_error = finding.kind, finding.severity is Severity.ERROR
+    if is_error or len(finding.sentence) <= LONGEST or not kind.code:
+        return finding.line
+    return f"{finding.severity.prefix}{finding.where}: {kind.meaning} {kind.remedy}".rstrip()

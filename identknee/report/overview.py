@@ -11,9 +11,9 @@ import numpy as np
 from identknee.checks.fit_checks import ALIKE, SAME
 from identknee.diagnosis.verdict import Verdict
 from identknee.identify.sweep import WITHIN
-from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.laxity.trial_words import trial_description
+from identknee.laxity.trial_words import load_words
 from identknee.model.effects.facts import cause_label
 from identknee.report.opening import Opening, opening_of
 from identknee.report.presenter import (
@@ -96,6 +96,20 @@ class Agreement:
             f"{x.source.value} {relation.value} ({interval((x.low, x.high), unit)})"
             for x, relation in self.differing
         ]
+        return "; ".join(parts)
+
+    def brief(self) -> str:
+        """The same in a few words, without ranges: those that contradict, and how many differ."""
+        n, differing = 1 + len(self.others), self.differing
+        if not differing:
+            return self.sentence("")
+        apart = [x.source.value for x, relation in differing if relation is Relation.APART]
+        if len(differing) == 1:
+            parts = [f"{x.source.value} {relation.value}" for x, relation in differing]
+        else:
+            parts = [f"contradicted by {listed(apart)}"] if apart else []
+            if len(apart) < len(differing):
+                parts.append(f"{len(differing) - len(apart)} of {n} differ")
         return "; ".join(parts)
 
 
@@ -428,12 +442,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
     for answer in answers:
         data = getattr(answer, "data", None)
         if isinstance(data, Laxity):
-            protocol = data.protocol
-            for name, flexion, loads in zip(
-                protocol.trials, protocol.flexion_deg, protocol.loads, strict=True
-            ):
-                values = {FLEXION: float(flexion)} | dict(zip(LOADS, loads.tolist(), strict=True))
-                trials[name] = trial_description(values)
+            trials |= _trial_words(data.protocol)
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
@@ -461,6 +470,15 @@ def overview(answers: Sequence[Answer]) -> Overview:
             dict.fromkeys(test for x in answers for test in presenter_of(x).next_tests(x))
         ),
     )
+
+
+def _trial_words(protocol: Protocol) -> dict[str, str]:
+    """What each trial is about, without loads that stray; its name too where others are alike."""
+    said = [load_words(protocol, k) for k in range(protocol.n)]
+    return {
+        name: x if said.count(x) == 1 else f"{x} ({name})"
+        for name, x in zip(protocol.trials, said, strict=True)
+    }
 
 
 def _shown(ranges: Mapping[str, Sequence[Range]]) -> Iterator[tuple[str, Sequence[Range]]]:

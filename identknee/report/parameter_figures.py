@@ -306,9 +306,9 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
                     axes.axhline(known[row], color=BLACK, linewidth=0.8)
             axes.tick_params(labelsize=6)
             if row == n - 1:
-                axes.set_xlabel(_on_two_lines(names[column]), fontsize=7)
+                axes.set_xlabel(_on_lines(names[column]), fontsize=7)
             if column == 0 and row > 0:
-                axes.set_ylabel(_on_two_lines(names[row]), fontsize=7)
+                axes.set_ylabel(_on_lines(names[row]), fontsize=7)
             elif column < row:
                 axes.set_yticklabels([])
     return figure
@@ -389,10 +389,14 @@ def _legend_above(
     )
 
 
-def _on_two_lines(name: str) -> str:
+# Letters of a line below a small panel.
+CORNER_LETTERS = 12
+
+
+def _on_lines(name: str) -> str:
     """Whose parameter it is, and below that what it is with its unit."""
     owner, _, quantity = name.rpartition(".")
-    return f"{owner}\n{words.label(quantity)}"
+    return f"{owner}\n{wrapped(words.label(quantity), CORNER_LETTERS)}"
 
 
 def spectrum_figure(found: Mapping[str, Information]) -> Figure:

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from identknee.report.opening import opening_of
+from identknee.report.opening import MOST_FINDINGS, brief_line, opening_of
 from identknee.report.presenter import (
     Question,
     Statement,
@@ -14,7 +14,6 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.runs.findings import (
-    Finding,
     Severity,
     by_severity,
     finding_lines,
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 WIDTH, MOST_LINES = 100, 25
-# Findings that a command prints, and the length of a sentence that is printed as it is.
-MOST_FINDINGS, LONGEST = 3, 240
 
 
 def full_text(answer: Answer) -> str:
@@ -62,7 +59,7 @@ def brief_lines(answer: Answer) -> list[str]:
     # However many there are, no error goes by.
     n_errors = sum(x.severity is Severity.ERROR for x in serious)
     shown = serious[: max(MOST_FINDINGS - opening.n_brief, n_errors)]
-    lines += [_brief_line(x) for x in shown]
+    lines += map(brief_line, shown)
     counts = {
         "finding": len(without_repeats(answer.findings)) - opening.n_brief - len(shown),
         "assumption": len(assumption_sentences(answer)),
@@ -81,17 +78,6 @@ def _main(statements: Sequence[Statement]) -> list[Statement]:
         first = next((k for k, x in enumerate(statements) if x.tables), 0)
         is_main[first : first + 1] = [True]
     return [x for x, is_said in zip(statements, is_main, strict=True) if is_said]
-
-
-def _brief_line(finding: Finding) -> str:
-    """A finding on a line or two: its sentence, or what its kind means if that is long.
-
-    An error is said whole: it is what has to be found.
-    """
-    kind, is_error = finding.kind, finding.severity is Severity.ERROR
-    if is_error or len(finding.sentence) <= LONGEST or not kind.code:
-        return finding.line
-    return f"{finding.severity.prefix}{finding.where}: {kind.meaning} {kind.remedy}".rstrip()
 
 
 def terminal_lines(answer: Answer) -> list[str]:

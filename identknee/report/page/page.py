@@ -15,6 +15,7 @@ from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.comparison import Comparison, comparison
 from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
+from identknee.report.page.lead import lead_of
 from identknee.report.page.loads import load_drawings
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import (
@@ -26,7 +27,7 @@ from identknee.report.page.results import (
     drawings,
     laxity_drawings,
 )
-from identknee.report.page.svg import inline_svg
+from identknee.report.page.svg import inline_svg, least_width
 from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import (
     Drawing,
@@ -48,7 +49,6 @@ from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
 from identknee.verbs.registry import verbs
 
-MOST_OPEN = 3
 # Findings about these stand in the part on searches, all others in that on the model.
 OF_SEARCH = (About.STARTS, About.TRIALS, About.EARLIER)
 SIDE_BY_SIDE = "Side by side"
@@ -231,12 +231,14 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
         if x.warning is not None
         for warning in main.opening.without([x.warning])
     )
-    # All errors stand in the open, and as many warnings as leave the table on the first screens;
-    # one more takes no more room than the words that would hide it.
-    n_open = max(MOST_OPEN, sum(x.severity is Severity.ERROR for x in cautions))
-    n_open += len(cautions) == n_open + 1
     figures = _figures(merged, number)
-    made = [("answer", "The answer", parts().overview(main, cautions, n_open, level))]
+    picture = Markup("").join(x for x, _ in figures.pop(None, []))
+    further = _further_commands(findings)
+    lead = lead_of(main, cautions, picture, further)
+    made = [
+        ("answer", "The answer", parts().lead(lead, f"findings-{number}", level)),
+        ("findings", "More findings", parts().findings(lead.below)),
+    ]
     sourced = _said_once(sourced, [*main.said, *main.searches, *main.next_tests])
     for question in Question:
         own = [x for x in sourced if x[0].question is question and x[0].warning is None]
@@ -245,12 +247,14 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
         drawn = figures.get(question, [])
         first, more = ([x for x, is_first in drawn if is_first is y] for y in (True, False))
         content = parts().part(leading, rest, first, more)
-        made.append((question.value, _heading(question, main, merged), content))
+        heading = _heading(question, main, merged)
+        if question is Question.LAXITY and picture:
+            heading = "More of laxity, and all forces"
+        made.append((question.value, heading, content))
         if question is Question.NEXT and scene is not None:
             made.append(("knee", "The knee in three dimensions", viewer_html(scene)))
     made.append(("computed", "How this was computed", _computed_html(findings.results)))
-    further = parts().further(_further_commands(findings))
-    made.append(("further", "What further verbs would answer", further))
+    made.append(("further", "What further verbs would answer", parts().further(further)))
     shown = [(f"{key}-{number}", heading, content) for key, heading, content in made if content]
     return Markup(parts().subject(findings.title, shown, level))
 
@@ -281,9 +285,13 @@ def _heading(question: Question, main: Overview, findings: Findings) -> str:
     return question.heading
 
 
-def _figures(findings: Findings, number: int) -> Mapping[Question, list[tuple[Markup, bool]]]:
-    """The figures by the question they belong to, each with whether it is looked at first."""
-    found = [
+def _figures(findings: Findings, number: int) -> dict[Question | None, list[tuple[Markup, bool]]]:
+    """The figures by the question they belong to, each with whether it is looked at first.
+
+    Under no question stands the one that leads the page: laxity of the table that most results are
+    of.
+    """
+    found: list[tuple[Question | None, str, Drawing, bool, str]] = [
         (
             shows.questions.get(x.name, shows.question),
             f"r{k}",
@@ -295,23 +303,35 @@ def _figures(findings: Findings, number: int) -> Mapping[Question, list[tuple[Ma
         for shows in [presenter_of(result.answer)]
         for i, x in enumerate(drawings(result))
     ]
+    laxity = list(laxity_drawings(findings))
+    main = {id(x) for x in findings.of_main_data}
+    leading = next((x for result, x in laxity if id(result) in main), None)
     found += [
-        (Question.LAXITY, f"l{k}", x, x.name != "laxity-all", result.folder.name)
-        for k, (result, x) in enumerate(laxity_drawings(findings))
+        (
+            None if x is leading else Question.LAXITY,
+            f"l{k}",
+            x,
+            x.name != "laxity-all",
+            result.folder.name,
+        )
+        for k, (result, x) in enumerate(laxity)
     ]
     found += [
         (Question.LAXITY, f"k{k}", x, x.name == "knee-loads", result.folder.name)
         for k, (result, x) in enumerate(load_drawings(findings))
     ]
-    placed: dict[Question, list[tuple[Markup, bool]]] = {}
+    placed: dict[Question | None, list[tuple[Markup, bool]]] = {}
     explained: dict[str, tuple[str, str]] = {}
     # In the order of the page: how to read a kind of figure is said at the first one.
-    for question, place, x, is_first, source in sorted(found, key=lambda x: not x[3]):
+    for question, place, x, is_first, source in sorted(
+        found, key=lambda x: (x[0] is not None, not x[3])
+    ):
         svg = inline_svg(x.figure, f"s{number}{place}-{x.name}", x.description)
         first, other = explained.setdefault(x.caption, (place, source))
         kind = capitalised(x.name.replace("-", " "))
         again = f"{kind}, {source}: read like that of {other}."
-        html = parts().figure(Markup(svg), x.caption if first == place else again)
+        least = least_width(svg) if question is None else None
+        html = parts().figure(Markup(svg), x.caption if first == place else again, least)
         placed.setdefault(question, []).append((html, is_first))
     return placed
 

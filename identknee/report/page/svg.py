@@ -1,6 +1,7 @@
 """Figures as SVG inside a page: text stays text, colours follow the page's light or dark."""
 
 import io
+import re
 import xml.etree.ElementTree as ET
 
 import matplotlib as mpl
@@ -92,6 +93,12 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
     title.text = description
     root.insert(0, title)
     return ET.tostring(root, encoding="unicode")
+
+
+def least_width(svg: str) -> str:
+    """How wide a drawing must be for its smallest letters to be read, as the page has it."""
+    found = re.search(r"--least: (\d+px)", svg)
+    return found[1] if found else "0px"
 
 
 def _for_page(key: str, value: str, identity: str) -> str:

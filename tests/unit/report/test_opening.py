@@ -132,4 +132,13 @@ def test_the_page_opens_with_it() -> None:
     assert cautions is not None
     assert "102.1" not in cautions.get_text()
     assert "1262" not in cautions.get_text()
-    assert "T5 is off" in cautions.get_text()
+    # The three gravest in all, and a link to the others.
+    assert "T0 is off" in cautions.get_text()
+    assert "T1 is off" not in cautions.get_text()
+    assert "5 more findings" in cautions.get_text()
+    link = cautions.find("a")
+    assert link is not None
+    below = page.find(id=str(link["href"]).removeprefix("#"))
+    assert below is not None
+    assert all(f"T{k} is off" in below.get_text() for k in range(1, 6))
+    assert "T0 is off" not in below.get_text()

@@ -2,14 +2,16 @@
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnoses import FRAME, answered
 from golden_texts import Golden
+from markupsafe import Markup
 from posed_knees import posed_reference
 from report_folders import (
     OPEN_BELOW,
@@ -21,6 +23,9 @@ from report_folders import (
     write_verb,
 )
 
+from identknee.report.overview import overview
+from identknee.report.page.lead import MOST_ROWS, lead_of
+from identknee.report.page.markup import parts
 from identknee.report.page.page import report_drawings, report_html
 from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
@@ -168,9 +173,40 @@ def test_the_answer_is_a_verdict_and_a_table(page: str) -> None:
     answer = page[page.index('id="answer-1"') : page.index("<nav")]
     assert answer.count('class="verdict wrong"') == 1
     assert answer.count('class="overview"') == 1
-    # Nothing of it is folded.
-    assert "<details" not in answer
+    # Nothing of it is folded but the ranges of each method.
+    assert re.findall("<summary>(.+?)</summary>", answer) == ["What each method says"]
+    answer = answer[: answer.index("<details")]
     assert answer.count('<th scope="row">') == len(set(re.findall(r'row">([^<]+)', answer))) > 2
+
+
+def test_table_laxity_and_next_step_come_before_all_else(page: str) -> None:
+    answer = page[page.index('id="answer-1"') : page.index("<nav")]
+    places = [answer.index(x) for x in ('"verdict', '"overview"', "<figure", '"next"', ">Fits<")]
+    assert places == sorted(places)
+    (figure,) = re.findall("<figure.+?</figure>", answer, re.DOTALL)
+    assert "Displacement along each load" in figure
+    assert "dots: measured" in figure
+    # It stands there alone.
+    assert page.count(figure) == 1
+
+
+def test_rows_beyond_a_screen_are_folded_in_their_order() -> None:
+    (row, *_) = overview([answered(FRAME)]).rows
+    rows = tuple(replace(row, label=f"row {k}") for k in range(MOST_ROWS + 3))
+    found = replace(overview([answered(FRAME)]), rows=rows)
+    lead = lead_of(found, [], Markup(""), [])
+    assert [x.label for x in (*lead.rows, *lead.folded)] == [x.label for x in rows]
+    assert len(lead.folded) == 3
+    html = str(parts().lead(lead, "findings-1", 2))
+    assert html.index("3 more rows") < html.index(f"row {MOST_ROWS}<")
+
+
+def test_a_step_is_shown_where_none_is_advised() -> None:
+    found = overview([untestable("Silence.")])
+    step = ("Is it known?", "identknee profile knee table.csv")
+    assert lead_of(found, [], Markup(""), [step]).step == step
+    advised = replace(found, next_tests=("Pull harder.",))
+    assert lead_of(advised, [], Markup(""), [step]).step is None
 
 
 def test_fits_of_one_table_stand_side_by_side(reference: Knee, tmp_path: Path) -> None:

@@ -20,6 +20,9 @@ TAB, ENTER = "\ue004", "\ue007"
 # WCAG 2.2, success criterion 1.4.3.
 LEAST_CONTRAST = 4.5
 WIDTHS = (380, 760, 1280)
+# What a reader sees first on a wide screen, and how far down it may reach [px].
+FIRST = (".verdict", "table.overview", ".glance figure", ".next + ul")
+WIDE, FIRST_SCREENS = 1400, 1600
 CONTRASTS = """
 const number = (colour) => {
   const found = colour.match(/[\\d.]+/g).map(Number);
@@ -108,6 +111,23 @@ def test_the_page_never_scrolls_sideways(browser: Any, width: int) -> None:
     resize(browser, width, 800)
     # The drawing of the knee follows a little later.
     until(browser, f"innerWidth === {width} && document.documentElement.scrollWidth <= {width}")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_answer_table_laxity_and_next_step_are_on_the_first_screens(
+    browser: Any, scheme: str
+) -> None:
+    resize(browser, WIDE, 800)
+    prefer(browser, scheme)
+    browser.refresh()
+    ends = browser.execute_script(
+        "return arguments[0].map(x => document.querySelector(x).getBoundingClientRect())"
+        ".map(x => [x.top + scrollY, x.bottom + scrollY])",
+        FIRST,
+    )
+    assert all(0.0 < top < bottom <= FIRST_SCREENS for top, bottom in ends)
+    # The table and the picture are beside each other.
+    assert ends[1][0] == pytest.approx(ends[2][0], abs=8.0)
 
 
 def test_wide_figures_and_tables_scroll_by_themselves_and_by_keyboard(browser: Any) -> None:
