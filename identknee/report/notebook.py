@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from markupsafe import escape
@@ -15,8 +15,9 @@ from identknee.report.canvas import Place, SeveralPanelsError, drawn_on
 from identknee.report.figure_style import recolour, resize
 from identknee.report.figures import png, show_figures
 from identknee.report.opening import opening_of
+from identknee.report.page.loads import ALL_FORCES, KNEE_LOADS, OF_VERBS, load_drawings
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import Findings, Result, laxity_drawings
+from identknee.report.page.results import Findings, Result, knee_of, laxity_drawings
 from identknee.report.page.viewer import model_scene, scene_of, viewer_html
 from identknee.report.presenter import Drawing, main_statements, presenter_of, statements_of
 from identknee.runs.files import PathLike, write_atomically
@@ -70,29 +71,37 @@ def answer_figure(
     *,
     ax: Place | None = None,
     width_mm: float | None = None,
+    knee: Knee | None = None,
 ) -> Figure:
     """A figure of the answer; see `Answer.plot`."""
     if ax is not None and width_mm is not None:
         raise ValueError("width_mm is the width of a whole figure; leave it out where ax is given")
-    known = {x.name: x for x in _drawings(answer)}
+    result = result_of(answer)
+    # Equilibria are found anew for these, so that they are drawn where they are asked for.
+    of_loads = (KNEE_LOADS, ALL_FORCES) if result.verb in OF_VERBS else ()
+
+    def drawn() -> Iterator[Drawing]:
+        return _load_drawings(result, knee) if name in of_loads else _each_drawing(answer)
+
+    known = {x.name: x for x in drawn()}
     if not known:
         raise ValueError(f"{type(answer).__name__} has no figure; print it to see its table")
     if name is not None and name not in known:
-        raise ValueError(f"there is no figure {name!r}; choose from {', '.join(known)}")
+        shown = ", ".join([*known, *of_loads])
+        raise ValueError(f"there is no figure {name!r}; choose from {shown}")
     show_figures()
     name = name or next(iter(known))
     figure = known[name].figure
     if ax is not None:
-        figure = _drawn_there(answer, name, ax, list(known).index(name))
+        figure = _drawn_there(drawn(), name, ax, list(known).index(name))
     if width_mm is not None:
         resize(figure, width_mm)
     recolour(figure)
     return figure
 
 
-def _drawn_there(answer: Answer, name: str, place: Place, wanted: int) -> Figure:
-    """The figure that the place belongs to, with one of the answer's drawn there."""
-    made = _each_drawing(answer)
+def _drawn_there(made: Iterator[Drawing], name: str, place: Place, wanted: int) -> Figure:
+    """The figure that the place belongs to, with one of these drawn there."""
     for _ in range(wanted):
         next(made)
     try:
@@ -115,6 +124,17 @@ def _each_drawing(answer: Answer) -> Iterator[Drawing]:
     shows = presenter_of(answer)
     yield from shows.drawings(answer, result.subject, result.knee)
     yield from (x for _, x in laxity_drawings(findings))
+
+
+def _load_drawings(result: Result, knee: Knee | None) -> Iterator[Drawing]:
+    """What the knee carries in every trial of a fit or a simulation."""
+    findings = Findings(subject=result.subject, results=(result,))
+    remarks: list[str] = []
+    own = knee_of(findings, remarks, knee)
+    if own is None:
+        raise ValueError(f"{' '.join(remarks)} Give it as knee=...")
+    shown = replace(findings, results=(replace(result, knee=own),))
+    yield from (x for _, x in load_drawings(shown))
 
 
 HEIGHT = "720"

@@ -12,15 +12,13 @@ from identknee.report.figures import vector
 from identknee.report.methods import methods_text
 from identknee.report.notebook import result_of
 from identknee.report.page.page import report_drawings, report_html, report_tables
-from identknee.report.page.results import Findings, Result, by_subject, found_results, in_order
+from identknee.report.page.results import Result, by_subject, found_results, in_order, knee_of
 from identknee.report.page.viewer import scene_of
 from identknee.report.table_files import table_files
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress
-from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 
 FIGURES, TABLES, METHODS = "figures", "tables", "methods.md"
 
@@ -106,21 +104,6 @@ def write_page(
         "tables": _write_tables(results, page.parent, tables) if tables else [],
         "remarks": remarks,
     }
-
-
-def knee_of(findings: Findings, remarks: list[str], knee: Knee | None = None) -> Knee | None:
-    """The subject as it was when the results were made; without it a remark says why."""
-    name = findings.subject
-    try:
-        knee = knee or read_subject(name)
-    except ValueError as error:
-        remarks.append(f"The knee itself is not shown: {error}")
-        return None
-    try:
-        return with_stated_uncertainty_of(knee, findings.results[0].answer)
-    except ValueError:
-        remarks.append(f"The knee itself is not shown: {name} has changed since.")
-        return None
 
 
 def _write_figures(

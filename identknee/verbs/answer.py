@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
     from pandas import DataFrame
 
+    from identknee.subject.knee import Knee
+
 
 @declared
 class Answer:
@@ -75,6 +77,7 @@ class Answer:
         *,
         ax: "Axes | FigureBase | None" = None,
         width_mm: float | None = None,
+        knee: "Knee | None" = None,
     ) -> "Figure":
         """A figure of the result, which a notebook shows as a picture.
 
@@ -90,14 +93,17 @@ class Answer:
             if None.
         width_mm
             Width of the figure, such as 89 or 183 for one or two columns of a journal.
+        knee
+            The subject, for figures that show it; read by its name if None.
 
         Raises
         ------
         ValueError
             If the result has no figure, or none of that name; the message lists those it has. If
-            it has several panels and `ax` is one, or its texts do not fit into the width.
+            it has several panels and `ax` is one, its texts do not fit into the width, or the knee
+            is not the one of the result.
         """
-        return self._printer.figure(self, name, ax=ax, width_mm=width_mm)
+        return self._printer.figure(self, name, ax=ax, width_mm=width_mm, knee=knee)
 
     def to_dataframe(self, table: str | None = None) -> "DataFrame":
         """A table of the result as a pandas ``DataFrame``, its columns with units.

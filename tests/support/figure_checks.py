@@ -22,9 +22,8 @@ from matplotlib.transforms import Bbox
 from identknee.laxity.table import read_laxity
 from identknee.report.figures import ALL_FITS, FIT, MEASURED, without_mathtext
 from identknee.report.page.page import report_drawings
-from identknee.report.page.results import by_subject, found_results
+from identknee.report.page.results import by_subject, found_results, knee_of
 from identknee.report.presenter import presenter_of
-from identknee.report.write_report import knee_of
 
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5
@@ -48,7 +47,7 @@ def faults(figure: Figure, names: Collection[str] = ()) -> list[str]:
     figure
         Any figure.
     names
-        Names that the user gave, of trials and ligaments, which may look like code.
+        Names that the user gave, of subject, trials and ligaments, which may look like code.
     """
     renderer = drawn(figure)
     if not any(x.get_visible() for x in figure.axes):
@@ -74,6 +73,7 @@ def faults_of(folder: Path) -> dict[str, list[str]]:
     results, names = [], set[str]()
     for found in by_subject(found_results(folder)):
         knee = knee_of(found, [])
+        names.add(found.title)
         for x in found.results:
             results.append(replace(x, knee=knee))
             names |= set(x.summary.get("trials_used") or ())

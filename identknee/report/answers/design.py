@@ -308,17 +308,21 @@ class DesignPresenter(Presenter[Design]):
             description=f"Intervals of {listed(names)} before and after adding {trials}.",
         )
         widths = np.diff(choice.predicted)[..., 0]
-        relative = {x: widths[:, t] / widths[0, t] for t, x in enumerate(names)}
-        achieved = dict(
-            zip(names, (np.diff(ends["achieved"])[:, 0] / widths[0]).tolist(), strict=True)
-        )
-        yield Drawing(
-            name="design-steps",
-            figure=steps_figure(relative, achieved),
-            caption="How much narrower each interval becomes with every trial added.",
-            description=f"Relative widths by the number of trials added, down to "
-            f"{listed(f'{x:.2f}' for x in achieved.values())}.",
-        )
+        shares = np.diff(ends["achieved"])[:, 0] / widths[0]
+        # An interval that is open to begin with has no width to compare with.
+        closed = {x: t for t, x in enumerate(names) if np.isfinite(widths[0, t])}
+        relative = {x: widths[:, t] / widths[0, t] for x, t in closed.items()}
+        achieved = {x: float(shares[t]) for x, t in closed.items()}
+        if closed:
+            ends_at = [f"{x:.2f}" if np.isfinite(x) else "open" for x in achieved.values()]
+            yield Drawing(
+                name="design-steps",
+                figure=steps_figure(relative, achieved),
+                caption="How much narrower each interval becomes with every trial added"
+                f"{', where it was closed before' * (len(closed) < len(names))}.",
+                description=f"Relative widths by the number of trials added, down to "
+                f"{listed(ends_at)}.",
+            )
         gains = choice.losses[0] - choice.alone
         yield Drawing(
             name="design-candidates",

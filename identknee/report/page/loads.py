@@ -15,6 +15,10 @@ from identknee.subject.plausibility import TENSION
 from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration
 
+KNEE_LOADS, ALL_FORCES = "knee-loads", "all-forces"
+# What they are of.
+OF_VERBS = ("fit", "simulate")
+
 
 def load_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
     """The knee by trial and a chart of all forces, for the first fit of each table.
@@ -36,7 +40,7 @@ def load_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
         yield (
             result,
             Drawing(
-                name="knee-loads",
+                name=KNEE_LOADS,
                 figure=knee_loads_figure(scene, protocol, loads),
                 caption="The knee from the front in every trial: ligaments coloured by their share "
                 "of the load at which they fail, compartments by contact force. "
@@ -47,7 +51,7 @@ def load_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
         yield (
             result,
             Drawing(
-                name="all-forces",
+                name=ALL_FORCES,
                 figure=forces_chart(
                     protocol.trials,
                     loads,

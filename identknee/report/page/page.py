@@ -16,7 +16,7 @@ from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.comparison import Comparison, comparison
 from identknee.report.overview import KNOWN, Overview, Tone, fits_by_start, has_better_fit, overview
 from identknee.report.page.lead import lead_of
-from identknee.report.page.loads import load_drawings
+from identknee.report.page.loads import KNEE_LOADS, load_drawings
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import (
     COMPARE,
@@ -317,7 +317,7 @@ def _figures(findings: Findings, number: int) -> dict[Question | None, list[tupl
         for k, (result, x) in enumerate(laxity)
     ]
     found += [
-        (Question.LAXITY, f"k{k}", x, x.name == "knee-loads", result.folder.name)
+        (Question.LAXITY, f"k{k}", x, x.name == KNEE_LOADS, result.folder.name)
         for k, (result, x) in enumerate(load_drawings(findings))
     ]
     placed: dict[Question | None, list[tuple[Markup, bool]]] = {}

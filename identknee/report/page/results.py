@@ -11,10 +11,12 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.schema import read_json
 from identknee.runs.words import listed
+from identknee.subject.folder import read_subject
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, SUMMARY, loaded
+from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 from identknee.verbs.registry import verb_named, verbs
 
 if TYPE_CHECKING:
@@ -178,6 +180,21 @@ def _read(path: Path) -> Result | None:
     return Result(
         folder=path.parent, summary=summary, answer=loaded(path, summary, verb.answer_class)
     )
+
+
+def knee_of(findings: Findings, remarks: list[str], knee: Knee | None = None) -> Knee | None:
+    """The subject as it was when the results were made; without it a remark says why."""
+    name = findings.subject
+    try:
+        knee = knee or read_subject(name)
+    except ValueError as error:
+        remarks.append(f"The knee itself is not shown: {error}")
+        return None
+    try:
+        return with_stated_uncertainty_of(knee, findings.results[0].answer)
+    except ValueError:
+        remarks.append(f"The knee itself is not shown: {name} has changed since.")
+        return None
 
 
 def drawings(result: Result) -> tuple[Drawing, ...]:

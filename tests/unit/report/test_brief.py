@@ -8,10 +8,10 @@ import pytest
 from bs4 import BeautifulSoup
 from cli_runs import run, short_protocol
 
+from identknee.report.opening import MOST_FINDINGS
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.report.presenter import presenter_of
-from identknee.report.opening import MOST_FINDINGS
 from identknee.report.printer import brief_lines, terminal_lines
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.verbs.answer import Answer

@@ -1,10 +1,16 @@
 """Figures of advice on trials."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from identknee.laxity.protocol import candidate_trials, load_protocol
 from identknee.report.design_figures import candidates_figure, intervals_figure, steps_figure
+from identknee.report.presenter import presenter_of
+from identknee.verbs.design import Design
+from identknee.verbs.files import load
 
 
 def _texts(figure: Figure) -> list[str]:
@@ -43,3 +49,16 @@ def test_steps_begin_at_what_was_and_end_at_what_was_achieved() -> None:
     assert len(legend.get_texts()) == 9
     styles = {(line.get_color(), line.get_linestyle()) for line in axes.lines[0:16:2]}
     assert len(styles) == 8
+
+
+def test_steps_are_drawn_of_intervals_that_were_closed_before() -> None:
+    answer = load(Path(__file__).parents[2] / "fuzz" / "results" / "design")
+    assert isinstance(answer, Design)
+    presenter = presenter_of(answer)
+    names = [x.name for x in presenter.drawings(answer, "knee", None)]
+    assert "design-steps" in names
+    predicted = np.array(answer.choice.predicted)
+    predicted[:, :, 1] = np.nan
+    open_above = replace(answer, choice=replace(answer.choice, predicted=predicted))
+    drawn = [x.name for x in presenter.drawings(open_above, "knee", None)]
+    assert drawn == [x for x in names if x != "design-steps"]

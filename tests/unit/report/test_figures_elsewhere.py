@@ -17,13 +17,20 @@ from report_folders import straight_profiles
 
 import identknee as ik
 from identknee.report.figure_data import HEADS, figure_data
-from identknee.report.figure_style import LEAST_LETTERS, ONE_COLUMN_MM, TWO_COLUMNS_MM
+from identknee.report.figure_style import (
+    LEAST_LETTERS,
+    ONE_COLUMN_MM,
+    TWO_COLUMNS_MM,
+    resize,
+)
 from identknee.report.figures import COLOURS
 from identknee.report.page.page import report_drawings
 from identknee.report.page.results import found_results
+from identknee.report.parameter_figures import corner_figure
 
 RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 MM = 25.4
+FREE = ("stiffness_kN", "reference_strain_pct")
 
 
 def rows(figure: Figure) -> list[dict[str, str]]:
@@ -115,6 +122,38 @@ def test_text_stays_text_where_a_user_saves_a_figure(form: str) -> None:
     straight_profiles().plot("intervals").savefig(buffer, format=form)
     wanted = b"<text" if form == "svg" else b"/FontFile2"
     assert wanted in buffer.getvalue()
+
+
+def test_what_a_knee_carries_is_drawn_on_its_own_and_into_a_subfigure() -> None:
+    answer = ik.load(RESULTS / "fit")
+    figure = answer.plot("all-forces", width_mm=TWO_COLUMNS_MM)
+    titles = {x.get_title() for x in figure.axes}
+    assert {"ACL", "PCL", "LCL", "MCL", "medial contact", "lateral contact"} <= titles
+    whole = Figure(figsize=(12.0, 12.0), layout="constrained")
+    parts: Any = whole.subfigures(2, 1)
+    upper, lower = parts
+    assert answer.plot("knee-loads", ax=upper) is whole
+    assert any(x.collections for x in upper.axes)
+    assert not lower.axes
+
+
+def test_a_knee_that_is_not_that_of_the_result_is_not_drawn() -> None:
+    answer = ik.load(RESULTS / "fit")
+    other = ik.example("lenhart2015")
+    with pytest.raises(ValueError, match=r"not shown.*has changed since.*Give it as knee="):
+        answer.plot("knee-loads", knee=other)
+    with pytest.raises(ValueError, match=r"no figure 'knee'; choose from .*all-forces"):
+        answer.plot("knee")
+    with pytest.raises(ValueError, match="no figure 'knee-loads'"):
+        ik.load(RESULTS / "information").plot("knee-loads")
+
+
+def test_a_corner_of_eight_parameters_has_the_width_of_two_columns() -> None:
+    names = [f"{x}.{y}" for x in ("ACL", "PCL", "LCL", "MCL") for y in FREE]
+    draws = np.random.default_rng(1).normal(size=(200, len(names)))
+    figure = corner_figure(names, draws)
+    resize(figure, TWO_COLUMNS_MM)
+    assert figure.get_size_inches()[0] * MM == pytest.approx(TWO_COLUMNS_MM)
 
 
 def test_a_table_beside_a_figure_has_its_numbers() -> None:
