@@ -1,4 +1,4 @@
-"""How a notebook shows classes of which a higher layer knows what to show."""
+"""What a running notebook shows: classes of which a higher layer knows how, and what changes."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ def show_in_notebooks(classes: Sequence[tuple[str, str]], shown: Callable[[Any],
     shown
         Gives what has a ``text`` and an ``html`` for an object of them.
     """
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    shell = _shell()
     if shell is None:
         return
     formatters = shell.display_formatter.formatters
@@ -26,3 +26,28 @@ def show_in_notebooks(classes: Sequence[tuple[str, str]], shown: Callable[[Any],
         formatters["text/plain"].for_type_by_name(
             module, name, lambda x, printer, _cycle: printer.text(shown(x).text)
         )
+
+
+def is_notebook() -> bool:
+    """Whether a kernel runs this, whose cells show HTML; a terminal with IPython is none."""
+    return getattr(_shell(), "kernel", None) is not None
+
+
+def shown_in_cell(html: str, text: str) -> Callable[[str, str], None]:
+    """A function to call with other HTML and text, which take the place of these in the cell."""
+    from IPython.display import display
+
+    handle = display(_bundle(html, text), raw=True, display_id=True)
+
+    def change(new_html: str, new_text: str) -> None:
+        handle.update(_bundle(new_html, new_text), raw=True)
+
+    return change
+
+
+def _bundle(html: str, text: str) -> dict[str, str]:
+    return {"text/html": html, "text/plain": text}
+
+
+def _shell() -> Any:
+    return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None

@@ -4,11 +4,14 @@ import multiprocessing
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
+from html import escape
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from typing_extensions import override
+
+from identknee.runs.notebooks import is_notebook, shown_in_cell
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -126,8 +129,8 @@ def progress(
 ) -> Iterator[Item]:
     """The items, counted on a bar on standard error as they pass.
 
-    The bar shows after two seconds on a terminal. Elsewhere, as in a log, a line says how far long
-    work is after 30 seconds and then ever more rarely.
+    The bar shows after two seconds on a terminal or in a notebook. Elsewhere, as in a log, a line
+    says how far long work is after 30 seconds and then ever more rarely.
     """
     if total is None and isinstance(items, Sized):
         total = len(items)
@@ -225,13 +228,14 @@ def _bar(
     if is_worker or not _one_bar.acquire(blocking=False):
         yield _Silent()
         return
-    if not sys.stderr.isatty():
+    if not (in_cell := is_notebook()) and not sys.stderr.isatty():
         try:
             yield ProgressLines(description, total, before)
         finally:
             _one_bar.release()
         return
-    bar = _DelayedBar(description, total, before, is_counted=is_counted)
+    drawn = _CellBar if in_cell else _DelayedBar
+    bar = drawn(description, total, before, is_counted=is_counted)
     # A timer, so that a first step of a minute does not leave the terminal blank.
     timer = threading.Timer(DELAY_S, bar.show)
     timer.daemon = True
@@ -340,6 +344,60 @@ class _DelayedBar:
     def close(self) -> None:
         if self._shown is not None:
             self._shown[0].stop()
+
+
+# A cell is changed no more often than this.
+CELL_EVERY_S = 0.2
+
+
+class _CellBar(_DelayedBar):
+    """The same in the output of a notebook's cell, where lines would pile up."""
+
+    def __init__(
+        self, description: str, total: int | None, before: int, *, is_counted: bool
+    ) -> None:
+        super().__init__(description, total, before, is_counted=is_counted)
+        self._change: Callable[[str, str], None] | None = None
+        self._changed = 0.0
+
+    @override
+    def show(self) -> None:
+        with self._lock:
+            self._change = shown_in_cell(*self._looks())
+            self._changed = time.monotonic()
+            self._say_all()
+
+    @override
+    def _say_all(self) -> None:
+        if self._change is None:
+            return
+        for sentence in self._unsaid:
+            sys.stderr.write(f"identknee: {sentence}\n")
+        self._unsaid.clear()
+
+    @override
+    def _update(self) -> None:
+        if self._change is not None and time.monotonic() - self._changed >= CELL_EVERY_S:
+            self._change(*self._looks())
+            self._changed = time.monotonic()
+
+    @override
+    def close(self) -> None:
+        if self._change is not None:
+            self._left, self._note = _TimeLeftColumn(None), ""
+            self._change(*self._looks())
+
+    def _looks(self) -> tuple[str, str]:
+        """The bar as HTML and as text."""
+        whole = 1.0 if self._share else float(self._total or 0)
+        done = self._share or float(self._done)
+        count = f"{self._done}/{self._total or '?'}" if self._is_counted else ""
+        seconds = f"{time.monotonic() - self._began:.0f} s"
+        texts = [self._description, count, seconds, str(self._left), self._note]
+        words = ", ".join(x for x in texts if x)
+        place = f' value="{min(done, whole):g}" max="{whole:g}"' if whole else ""
+        bar = f'<progress{place} aria-label="{escape(self._description)}"></progress>'
+        return f"<div>{bar} {escape(words)}</div>", words
 
 
 class _TimeLeftColumn:

@@ -120,3 +120,37 @@ def test_a_notebook_runs_and_shows_pictures(tmp_path: Path) -> None:
     assert turned["text/html"].startswith("<iframe")
     assert turned["text/plain"] == "Scene3D()"
     assert (tmp_path / "page" / "report.html").is_file()
+
+
+AT_ONCE = """
+import time
+import identknee.runs.progress as module
+module.DELAY_S, module.CELL_EVERY_S = 0.05, 0.0
+"""
+LONG = """
+with module.progress_bar("fitting <a>", 4) as advance:
+    advance(1)
+    time.sleep(1.0)
+    advance.say("Slow.")
+    advance(3)
+"""
+LONG_CELLS = (AT_ONCE, LONG, "list(module.progress(range(3), description='short'))")
+
+
+def test_a_notebook_has_one_bar_that_changes_in_its_cell(tmp_path: Path) -> None:
+    cells = [{"cell_type": "code", "metadata": {}, "source": x, "outputs": []} for x in LONG_CELLS]
+    written = {"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}
+    notebook = nbformat.from_dict(written)  # type: ignore[no-untyped-call]
+    client = NotebookClient(
+        notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
+    )
+    asyncio.run(client.async_execute())
+    bars = [x for x in notebook.cells[1].outputs if x.output_type == "display_data"]
+    (bar,) = (x.data for x in bars)
+    assert '<progress value="4" max="4"' in bar["text/html"]
+    assert "fitting &lt;a&gt;, 4/4" in bar["text/html"]
+    assert bar["text/plain"].startswith("fitting <a>, 4/4, 1 s")
+    said = "".join(x.text for x in notebook.cells[1].outputs if x.output_type == "stream")
+    assert said == "identknee: Slow.\n"
+    # What takes no time shows nothing.
+    assert all(x.output_type == "execute_result" for x in notebook.cells[2].outputs)
