@@ -7,6 +7,7 @@ the robot, a fit, a check of that fit, and the way back to OpenSim. The files of
 ``reference`` stand in for yours. Download this page as a notebook at its end and put yours in.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 import tempfile
 from pathlib import Path
 

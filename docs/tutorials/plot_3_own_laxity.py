@@ -74,5 +74,14 @@ for profile in profiles:
 figure = profiles_figure(profiles)
 
 # %%
+# What to keep: the figure, its text still text, and the numbers for a table.
+
+figure.savefig(folder / "profiles.svg")
+(folder / "intervals.csv").write_text(
+    "\n".join(["parameter,lower,upper", *(f"{x.name},{x.lower},{x.upper}" for x in profiles)]),
+    encoding="utf-8",
+)
+
+# %%
 # The true stiffness of the anterior cruciate was 9.5 kN. On the command line: ``identknee fit
 # SUBJECT laxity.csv --start IG4 --weighting noise``, then ``identknee profile SUBJECT laxity.csv``.

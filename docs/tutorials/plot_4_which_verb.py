@@ -6,7 +6,12 @@ One data set, and every question that can be asked of a calibration. The answers
 small; the command for the full answer is given with each.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+import tempfile
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 
 import identknee as ik
 from identknee.calibrate.fit import fit
@@ -68,6 +73,13 @@ spread = np.array([[found.sets[:, i].min(), found.sets[:, i].max()] for i in sti
 figure = ranges_figure(
     [names[i] for i in stiffness], best.theta[stiffness], {"6 sets": spread}, unit="kN"
 )
+
+# %%
+# What to keep: the sets themselves, each a knee that these data cannot tell from yours.
+
+table = pd.DataFrame(found.sets, columns=names)
+table.to_csv(Path(tempfile.mkdtemp()) / "sets.csv", index=False)
+print(table.round(2))
 
 # %%
 # Where to go from here

@@ -6,6 +6,9 @@ A generator that shares no mechanics with the model makes data with something in
 model lacks. The diagnosis sees the data alone. Then the truth is revealed.
 """
 
+import tempfile
+from pathlib import Path
+
 import identknee as ik
 from identknee.report.diagnosis_figures import (
     added_variable_figure,
@@ -62,6 +65,12 @@ for rival in diagnosis.rivals:
 # blind case.
 
 figure = parameters_before_after_figure(diagnosis, case.truth.theta)
+
+# %%
+# What to keep: the page, with every figure above and the numbers behind them.
+
+page = ik.report(diagnosis, Path(tempfile.mkdtemp()) / "report.html")
+print(page.name)
 
 # %%
 # Not every verdict is ``NAMED``. ``ADEQUATE`` says that the data show nothing wrong, and which

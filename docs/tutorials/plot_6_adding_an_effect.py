@@ -6,6 +6,9 @@ An effect is a physical cause whose amplitudes are zero where it does not act. T
 the library: a goniometer that is mounted askew reads a share of varus as internal rotation.
 """
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 
 import identknee as ik
@@ -65,6 +68,13 @@ print(diagnosis.verdict.value, diagnosis.cause_names)
 # The scores of all candidates, before and after the cause is in the model:
 
 figure = scores_figure(diagnosis.steps)
+
+# %%
+# What to keep: the figure, and the table of all candidates.
+
+folder = Path(tempfile.mkdtemp())
+figure.savefig(folder / "scores.svg")
+diagnosis.to_dataframe().to_csv(folder / "diagnosis.csv", index=False)
 
 # %%
 # To have it in the library for everyone takes a file, a row of facts and a line: see

@@ -7,7 +7,11 @@ pool of processes and a dask cluster give the same numbers bit for bit, as each 
 seed and shares nothing.
 """
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 from distributed import LocalCluster
 
 import identknee as ik
@@ -45,6 +49,14 @@ print(np.array_equal(serial.objectives, scaled_out.objectives, equal_nan=True))
 number = np.arange(1, scaled_out.n + 1)
 ends = {"end": (number, np.sort(scaled_out.objectives))}
 figure = waterfall_figure({"Least squares from 16 starts": ends})
+
+# %%
+# What to keep: where every search ended, a row a start.
+
+table = pd.DataFrame(scaled_out.ends, columns=problem.parameters.names)
+table["objective"] = scaled_out.objectives
+table.to_csv(Path(tempfile.mkdtemp()) / "ends.csv", index=False)
+print(table.round(2).head(3))
 
 # %%
 # On the command line ``--workers N`` starts N processes; ``--workers tcp://10.0.0.5:8786`` works on

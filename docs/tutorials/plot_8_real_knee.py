@@ -7,6 +7,9 @@ real, and its insertions were moved until it is stable. Here drawer tests are si
 fitted again, to see what they determine.
 """
 
+import tempfile
+from pathlib import Path
+
 import identknee as ik
 
 # %%
@@ -35,6 +38,14 @@ print(answer)
 known = ik.information(knee, data)
 print(known)
 figure = known.plot()
+
+# %%
+# What to keep: a page with both answers, and the table of estimates for a paper.
+
+folder = Path(tempfile.mkdtemp())
+page = ik.report([answer, known], folder / "report.html", knee=knee)
+known.to_dataframe("estimates").to_csv(folder / "estimates.csv", index=False)
+print(sorted(x.name for x in folder.iterdir()))
 
 # %%
 # The combinations on the right are sloppy: the data hardly determine them, above all the cruciates'

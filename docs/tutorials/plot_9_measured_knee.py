@@ -7,7 +7,9 @@ its ligament parameters are unknown. This page shows what real data are like, an
 them can be trusted.
 """
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -57,6 +59,14 @@ figure = fit.plot()
 
 for finding in fit.findings:
     print(f"- {finding.sentence}")
+
+# %%
+# What to keep: the parameters as a table, with the paragraph that says how they were found.
+
+folder = Path(tempfile.mkdtemp())
+fit.to_dataframe("fitted-parameters").to_csv(folder / "parameters.csv", index=False)
+(folder / "methods.txt").write_text(fit.methods(), encoding="utf-8")
+print(sorted(x.name for x in folder.iterdir()))
 
 # %%
 # So these parameters are not this knee's. Fourteen bundles in place of four lines come closer

@@ -7,10 +7,13 @@ cuts a ligament and tests again. This page shows what the second table is worth,
 force is worth in its place. The knee is simulated, so that the truth is known.
 """
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 
 import identknee as ik
 
@@ -77,6 +80,14 @@ axes.set_yticks(places, [x.name for x in knee.ligaments])
 axes.invert_yaxis()
 axes.set_xlabel("width of the 95 % interval of the stiffness [kN]")
 axes.legend()
+
+# %%
+# What to keep: the figure, and its numbers.
+
+folder = Path(tempfile.mkdtemp())
+figure.savefig(folder / "what_a_cut_is_worth.svg")
+pd.DataFrame(widths).to_csv(folder / "widths.csv")
+print(pd.DataFrame(widths).round(1))
 
 # %%
 # On the command line the same is ``identknee profile SUBJECT intact.csv mcl_cut.csv``. Rigs,

@@ -35,8 +35,9 @@ def is_notebook() -> bool:
 
 def shown_in_cell(html: str, text: str) -> Callable[[str, str], None]:
     """A function to call with other HTML and text, which take the place of these in the cell."""
-    from IPython.display import display
+    from IPython import display as cells
 
+    display: Any = cells.display
     handle = display(_bundle(html, text), raw=True, display_id=True)
 
     def change(new_html: str, new_text: str) -> None:

@@ -30,6 +30,7 @@ from identknee.runs.words import capitalised
 from identknee.subject.capsule import with_capsule
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import known_names, named_subject
+from identknee.subject.in_memory import NAME, taken_apart
 from identknee.subject.knee import (
     EffectChoice,
     Frame,
@@ -336,7 +337,11 @@ def read_tables(path: PathLike) -> SubjectTables:
         If it cannot be read, is no TOML or breaks the schema: it names the place and the remedy.
     """
     file = Path(path)
-    values = read_toml(file)
+    return _tables(read_toml(file), file)
+
+
+def _tables(values: Mapping[str, Any], file: Path) -> SubjectTables:
+    """The tables of a subject against their schema; messages name the file."""
 
     def refuse(fault: Fault) -> InputError:
         remedy = remedy_of(SubjectTables, fault, _EXAMPLES)
@@ -453,8 +458,8 @@ def example(name: str) -> Knee:
     return reference_knee() if named.file is None else _read(named.file)
 
 
-def read_subject(path: PathLike) -> Knee:
-    """The knee of a subject folder, or of a named subject such as ``"lenhart2015"``.
+def read_subject(path: PathLike | Mapping[str, Any]) -> Knee:
+    """The knee of a subject folder, of a named subject such as ``"lenhart2015"``, or from memory.
 
     Lengths in the files are mm. Every frame there has x anterior, y superior and z to the subject's
     right; a left knee is mirrored, so that the knee returned is always a right one with z lateral.
@@ -464,7 +469,10 @@ def read_subject(path: PathLike) -> Knee:
     path
         The folder, its ``subject.toml``, or a name that `example` knows. A name stands for the knee
         that comes with identknee even where a folder is called so: write ``"./lenhart2015"``, or
-        give a `pathlib.Path`, for the folder.
+        give a `pathlib.Path`, for the folder. Or the tables of ``subject.toml`` as a dictionary, in
+        which ``surfaces`` are meshes with ``vertices`` and ``faces``, pairs of such arrays or
+        paths, and ``ligaments`` may be a pandas ``DataFrame`` with the columns ``name``,
+        ``femur_x_mm`` to ``tibia_z_mm``, ``stiffness_kN`` and ``reference_strain_pct``.
 
     Raises
     ------
@@ -472,6 +480,9 @@ def read_subject(path: PathLike) -> Knee:
         If a file is missing or cannot be used: the message names the file, the place in it and the
         remedy. What can be used but looks wrong is left to `check_geometry`.
     """
+    if isinstance(path, Mapping):
+        values, meshes = taken_apart(path)
+        return _knee(_tables(values, Path(NAME)), Path(NAME), meshes, {})
     if isinstance(path, str) and named_subject(path) is not None:
         return example(path)
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
@@ -527,6 +538,18 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
 
 def _read(file: Path) -> Knee:
     tables = read_tables(file)
+    named = tables.surfaces.model_dump(exclude_none=True)
+    meshes = {
+        name: read_surface(file.parent / x)
+        for name, x in progress(list(named.items()), description="reading the surfaces")
+    }
+    return _knee(tables, file, meshes, read_fitted(file.parent) if file.name == FILE else {})
+
+
+def _knee(
+    tables: SubjectTables, file: Path, meshes: Mapping[str, Surface], fitted: Mapping[str, float]
+) -> Knee:
+    """The knee of these tables and surfaces; messages name the file."""
     landmarks = {x: np.array(position) for x, position in tables.places.items()}
     places = tuple(Landmark(name=x, position=position) for x, position in landmarks.items())
     if tables.frames is None:
@@ -544,10 +567,7 @@ def _read(file: Path) -> Knee:
             for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
         )
         frames = femur, tibia
-    surfaces = tuple(
-        read_surface(file.parent / getattr(tables.surfaces, x))
-        for x in progress(SURFACES, description="reading the surfaces")
-    )
+    surfaces = tuple(meshes[x] for x in SURFACES)
     ligaments = [
         _made(
             file,
@@ -583,7 +603,7 @@ def _read(file: Path) -> Knee:
         KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
         for x in tables.poses
     )
-    bones = _bones(file, tables.surfaces)
+    bones = None if BONE_SURFACES[0] not in meshes else (meshes["femur_bone"], meshes["tibia_bone"])
     knee = _made(
         file,
         "",
@@ -612,26 +632,16 @@ def _read(file: Path) -> Knee:
             for i, x in enumerate(tables.plausibility)
         ),
         donor_age=tables.donor_age,
-        fitted=read_fitted(file.parent) if file.name == FILE else {},
+        fitted=fitted,
         contact_rounding_mm=tables.contact_rounding_mm,
     )
     knee = knee.mirrored() if tables.side == "left" else knee
     if tables.capsule:
-        fitted = knee.fitted
-        knee = replace(
-            _made(file, "key capsule", with_capsule, knee, tables.capsule), fitted=fitted
-        )
+        extended = _made(file, "key capsule", with_capsule, knee, tables.capsule)
+        knee = replace(extended, fitted=fitted)
     for finding in fatal_geometry_findings(knee):
         raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee
-
-
-def _bones(file: Path, named: SurfaceFiles) -> tuple[Surface, Surface] | None:
-    """Surfaces of femur and tibia, where both are named."""
-    if named.femur_bone is None or named.tibia_bone is None:
-        return None
-    femur, tibia = (read_surface(file.parent / x) for x in (named.femur_bone, named.tibia_bone))
-    return femur, tibia
 
 
 def _stated(table: UncertaintyTable) -> dict[str, Any]:

@@ -155,13 +155,31 @@ def read_surface(path: PathLike) -> Surface:
             "Repair the mesh and export it again.",
         )
     try:
-        _check(mesh.vertices, mesh.faces)
-        vertices, faces, found = repaired(mesh.vertices, mesh.faces, is_soup=mesh.is_soup)
-        return Surface(
-            vertices=vertices, faces=faces, repairs=found + Repairs(remarks=mesh.remarks)
-        )
+        found = surface_of(mesh.vertices, mesh.faces, is_soup=mesh.is_soup)
     except ValueError as error:
         raise InputError(file, "", str(error), "Repair the mesh and export it again.") from error
+    return replace(found, repairs=found.repairs + Repairs(remarks=mesh.remarks))
+
+
+def surface_of(vertices: Array, faces: IntArray, *, is_soup: bool = False) -> Surface:
+    """A surface of vertices ``(n, 3)`` [mm] and triangles ``(m, 3)``, mended as files are.
+
+    Parameters
+    ----------
+    vertices, faces
+        Places, and the numbers of the vertices of each triangle from 0.
+    is_soup
+        Whether every triangle has vertices of its own.
+
+    Raises
+    ------
+    ValueError
+        If shapes or numbers are not those of a surface.
+    """
+    whole, triangles = frozen(vertices, None, 3, name="vertices"), frozen_integers(faces)
+    _check(whole, triangles)
+    places, numbered, found = repaired(whole, triangles, is_soup=is_soup)
+    return Surface(vertices=places, faces=numbered, repairs=found)
 
 
 def write_surface(surface: Surface, path: PathLike) -> Path:
