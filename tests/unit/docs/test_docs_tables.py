@@ -157,3 +157,16 @@ def test_every_study_gets_a_page_without_a_picture_that_is_not_there(
     assert "`records/record.json`" in made
     listed = (tmp_path / "pages" / "index.md").read_text(encoding="utf-8")
     assert "01_question/README" in listed
+
+
+def test_the_protocol_of_the_page_is_read_as_it_says(tmp_path: Path) -> None:
+    text = page("conventions.md")
+    (block,) = re.findall(r"## Protocols\n.*?```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
+    found = ik.load_protocol(tmp_path / "mine.toml")
+    assert found.n == 2 * 3 + 1
+    assert found.state == ("intact",) * 6 + ("cut: ACL",)
+    assert (found.loads[:6, LOADS.index("distraction_force_N")] == -50.0).all()
+    pivot = dict(zip(LOADS, found.loads[-1].tolist(), strict=True))
+    assert (found.trials[-1], found.flexion_deg[-1]) == ("pivot", 20.0)
+    assert {k for k, x in pivot.items() if x} == {"varus_moment_Nm", "internal_moment_Nm"}
