@@ -1,4 +1,7 @@
-"""Every figure of every verb, for all named subjects and two forms of a measured table."""
+"""Every figure of every verb, for all named subjects and two forms of a measured table.
+
+Results are kept in `KEPT` and drawn anew by the next run; delete the folder to compute them anew.
+"""
 
 import argparse
 import tempfile
@@ -25,6 +28,7 @@ LOADS = {0: (-4.0, 0.0, 4.0), 1: (-5.0, 5.0), 2: (-60.0, 60.0)}
 NOISE = "0.5mm,0.5deg"
 COMPRESSION_N, STRAY_N, STRAY_DEG = -20.0, 1.0, 1.5
 FORMS = ("one angle for all", "as a rig reads it")
+KEPT = Path(tempfile.gettempdir()) / "identknee_verification" / "figures"
 
 
 def grid() -> Protocol:
@@ -91,15 +95,19 @@ def commands(knee: Knee, table: Path) -> Iterator[tuple[str, list[str]]]:
 
 def found_in(knee: Knee, form: str, folder: Path) -> tuple[int, list[str], list[str]]:
     """How many figures there are, their faults, and verbs that refused."""
-    table = write_laxity(table_of(knee, form), folder / "table.csv")
+    folder.mkdir(parents=True, exist_ok=True)
+    table = folder / "table.csv"
+    if not table.exists():
+        write_laxity(table_of(knee, form), table)
     n, wrong, refused = 0, [], []
     for name, words in commands(knee, table):
         out = folder / name.replace(" ", "_")
-        result = CliRunner().invoke(app, [*words, "--out", str(out)])
         if not (out / "result.json").exists():
-            said = result.output.strip().splitlines()[-1:]
-            refused.append(f"{knee.name}, {form}, {name}: {''.join(said)[:160]}")
-            continue
+            result = CliRunner().invoke(app, [*words, "--out", str(out)])
+            if not (out / "result.json").exists():
+                said = result.output.strip().splitlines()[-1:]
+                refused.append(f"{knee.name}, {form}, {name}: {''.join(said)[:160]}")
+                continue
         figures = faults_of(out)
         n += len(figures)
         wrong += [
@@ -114,10 +122,11 @@ def measure(_options: argparse.Namespace) -> Row:
     """How many figures have a fault, of all verbs, subjects and forms of a table."""
     n, wrong, refused = 0, list[str](), list[str]()
     for subject in NAMED_SUBJECTS:
-        for form in FORMS:
-            with tempfile.TemporaryDirectory() as folder:
-                more, faults, without = found_in(ik.example(subject.name), form, Path(folder))
+        for k, form in enumerate(FORMS):
+            folder = KEPT / f"{subject.name}-{k}"
+            more, faults, without = found_in(ik.example(subject.name), form, folder)
             n, wrong, refused = n + more, wrong + faults, refused + without
+            print(f"   {subject.name}, {form}: {more} figures, {len(faults)} faults", flush=True)
     return Row(
         line="figures of all verbs, all named subjects and two forms of a measured table: none is "
         "empty, clipped, overlapping, twice, named as in code or in another colour than elsewhere",
