@@ -14,7 +14,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.laxity.protocol import ABSOLUTE, Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.report.methods import given_options
+from identknee.report.methods import given_options, value_words
 from identknee.report.overview import FORCE, ranges_of
 from identknee.report.presenter import Range, Source, of_type, presenter_of, settings_of
 from identknee.runs.arrays import Array
@@ -407,7 +407,7 @@ def _options(given: Mapping[str, Sequence[Answer]]) -> dict[str, list[str]]:
         chosen = [{} if x is None else given_options(x) for x in records]
         for flag in dict.fromkeys(y for x in chosen for y in x):
             if flag not in IN_QUESTION:
-                shown = [str(x[flag]) if flag in x else "as usual" for x in chosen]
+                shown = [value_words(x[flag]) if flag in x else "as usual" for x in chosen]
                 found[f"{verb_name} {flag}"] = shown
     return found
 

@@ -166,6 +166,21 @@ def given_options(record: Record) -> dict[str, Any]:
     return found
 
 
+def value_words(value: Any) -> str:
+    """What an option was given, as one writes it.
+
+    Examples
+    --------
+    >>> value_words(["ACL.stiffness_kN", ("a", "b")]), value_words({"cut": 5.0}), value_words(3)
+    ('ACL.stiffness_kN, a:b', 'cut=5.0', '3')
+    """
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name}={_plain(x)}" for name, x in value.items())
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return str(value)
+    return ", ".join(map(_plain, value))
+
+
 def _option_words(flag: str, value: Any) -> list[str]:
     if value is True:
         return [flag]

@@ -170,3 +170,11 @@ def test_the_protocol_of_the_page_is_read_as_it_says(tmp_path: Path) -> None:
     pivot = dict(zip(LOADS, found.loads[-1].tolist(), strict=True))
     assert (found.trials[-1], found.flexion_deg[-1]) == ("pivot", 20.0)
     assert {k for k, x in pivot.items() if x} == {"varus_moment_Nm", "internal_moment_Nm"}
+
+
+@pytest.mark.parametrize("tutorial", sorted(x.name for x in (DOCS / "tutorials").glob("*.py")))
+def test_a_tutorial_ends_in_a_file_that_a_reader_keeps(tutorial: str) -> None:
+    text = page(f"tutorials/{tutorial}")
+    code = [x for x in text.partition('"""\n\n')[2].splitlines() if x and not x.startswith("#")]
+    writes = r"\.(savefig|to_csv|write_text|write_subject|export_subject|report)\("
+    assert re.search(writes, "\n".join(code[-25:])), tutorial

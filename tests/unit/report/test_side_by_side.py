@@ -158,6 +158,15 @@ def test_what_differs_beside_the_numbers_is_listed(folders: Path) -> None:
     assert set(found) == {"fit --method", "knee", "fixed parameters", uncertain}
 
 
+def test_options_that_differ_are_written_as_one_types_them(folders: Path) -> None:
+    one = ik.load(folders / "profile-intact")
+    assert one.record is not None
+    settings = {**one.record.settings, "parameters": [ACL, HELD[0]]}
+    two = replace(one, record=replace(one.record, settings=settings))
+    found = {x.what: x.values for x in ik.compare([one, two], names=["a", "b"]).differences}
+    assert found["profile --parameter"] == (ACL, f"{ACL}, {HELD[0]}")
+
+
 def test_one_folder_may_hold_several_results_of_one_table(folders: Path, tmp_path: Path) -> None:
     for name in ("intact", "torn"):
         for verb in ("fit", "profile"):
