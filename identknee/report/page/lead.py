@@ -10,6 +10,8 @@ from identknee.report.tables import Table, table
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity
 
+# What is asked after a fit, in this order, before anything else.
+AFTER_FIT = ("profile", "diagnose", "design")
 # Rows of the table that are not folded: with a picture beside them they take one screen.
 MOST_ROWS = 14
 
@@ -71,8 +73,16 @@ def lead_of(
             ((x.label, x.agreement) for x in found.rows if x.agreement != x.found.brief()),
         ),
         picture=picture,
-        step=None if is_advised or not further else further[0],
+        step=None if is_advised else _step(found, further),
     )
+
+
+def _step(found: Overview, further: Sequence[tuple[str, str]]) -> tuple[str, str] | None:
+    """The question to ask next, with its command; None where all are answered."""
+    by_verb = {command.split()[1]: (question, command) for question, command in further}
+    is_fitted = found.rows or found.searches
+    wanted = [*(AFTER_FIT if is_fitted else ()), *by_verb]
+    return next((by_verb[x] for x in wanted if x in by_verb), None)
 
 
 def _left(n_opening: int, cautions: Sequence[Finding], *, is_cut: bool) -> str:

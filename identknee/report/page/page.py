@@ -34,6 +34,7 @@ from identknee.report.presenter import (
     Question,
     Statement,
     assumption_sentences,
+    main_statements,
     of_type,
     presenter_of,
     statements_of,
@@ -223,7 +224,7 @@ def _file_start(result: Result) -> str:
 def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene | None) -> Markup:
     """The answer, the parts behind it with links to them, and how it was computed."""
     merged = findings.merged
-    main = overview([x.answer for x in findings.of_main_data])
+    main = _with_an_answer(overview([x.answer for x in findings.of_main_data]), merged)
     sourced = _sourced_statements(merged.results)
     cautions = merge_duplicate_warnings(
         (warning, source)
@@ -257,6 +258,14 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     made.append(("further", "What further verbs would answer", parts().further(further)))
     shown = [(f"{key}-{number}", heading, content) for key, heading, content in made if content]
     return Markup(parts().subject(findings.title, shown, level))
+
+
+def _with_an_answer(found: Overview, findings: Findings) -> Overview:
+    """The head of the page; where it would be blank, what the last result says first."""
+    if found.said or found.opening.sentences or found.rows or found.searches or found.next_tests:
+        return found
+    sentence = main_statements(findings.results[-1].answer)[0].sentence
+    return replace(found, verdict=sentence, said=(sentence,), tone=Tone.OPEN)
 
 
 def _said_once(sourced: Iterable[Sourced], said: Iterable[str]) -> list[Sourced]:

@@ -203,10 +203,22 @@ def test_rows_beyond_a_screen_are_folded_in_their_order() -> None:
 
 def test_a_step_is_shown_where_none_is_advised() -> None:
     found = overview([untestable("Silence.")])
-    step = ("Is it known?", "identknee profile knee table.csv")
-    assert lead_of(found, [], Markup(""), [step]).step == step
+    fit, profile = (("Why?", f"identknee {x} knee table.csv") for x in ("fit", "profile"))
+    assert lead_of(found, [], Markup(""), [fit, profile]).step == fit
+    # What was fitted is asked how well it is known.
+    fitted = replace(found, searches=("The fit ended.",))
+    assert lead_of(fitted, [], Markup(""), [fit, profile]).step == profile
+    assert lead_of(fitted, [], Markup(""), [fit]).step == fit
     advised = replace(found, next_tests=("Pull harder.",))
-    assert lead_of(advised, [], Markup(""), [step]).step is None
+    assert lead_of(advised, [], Markup(""), [fit]).step is None
+
+
+def test_a_page_of_a_simulation_begins_with_what_it_says() -> None:
+    page = report_html(found_results(Path(__file__).parents[2] / "fuzz" / "results" / "simulate"))
+    answer = page[page.index('id="answer-1"') : page.index("<nav")]
+    (sentence,) = re.findall('"verdict open">(.+?)</p>', answer)
+    assert sentence.startswith("All 7 simulated trials have a stable pose.")
+    assert page.count("simulated trials have a stable pose") == 1
 
 
 def test_fits_of_one_table_stand_side_by_side(reference: Knee, tmp_path: Path) -> None:
