@@ -118,19 +118,26 @@ def found_in(knee: Knee, form: str, folder: Path) -> tuple[int, list[str], list[
     return n, wrong, refused
 
 
-def measure(_options: argparse.Namespace) -> Row:
-    """How many figures have a fault, of all verbs, subjects and forms of a table."""
-    n, wrong, refused = 0, list[str](), list[str]()
+def parts(_options: argparse.Namespace) -> Iterator[Row]:
+    """The row with the figures of one more subject and form of a table at a time."""
+    n, n_done, wrong, refused = 0, 0, list[str](), list[str]()
     for subject in NAMED_SUBJECTS:
         for k, form in enumerate(FORMS):
             folder = KEPT / f"{subject.name}-{k}"
             more, faults, without = found_in(ik.example(subject.name), form, folder)
             n, wrong, refused = n + more, wrong + faults, refused + without
+            n_done += 1
             print(f"   {subject.name}, {form}: {more} figures, {len(faults)} faults", flush=True)
+            yield _row(n, n_done, wrong, refused)
+
+
+def _row(n: int, n_done: int, wrong: list[str], refused: list[str]) -> Row:
+    n_all = len(NAMED_SUBJECTS) * len(FORMS)
     return Row(
         line="figures of all verbs, all named subjects and two forms of a measured table: none is "
         "empty, clipped, overlapping, twice, named as in code or in another colour than elsewhere",
         measures=[
+            Measure(what="subjects and forms", value=n_done, unit="", bar=n_all, at_least=True),
             Measure(what="figures", value=n, unit="", bar=1, at_least=True),
             Measure(what="faults", value=len(wrong), unit="", bar=0),
         ],
