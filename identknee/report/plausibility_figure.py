@@ -27,6 +27,8 @@ def plausibility_figure(price: PlausibilityPrice) -> Figure:
             [low, 1.0 + limit.spread / limit.size], [place, place], color=GREY, linewidth=9.0,
             solid_capstyle="butt", zorder=1, label="limit" if place == 0 else None,
         )  # fmt: skip
+    # What lies beyond the figure by row, both fits in one text: they may be alike.
+    beyond: dict[int, list[str]] = {}
     for name, values, filled in (
         ("fit without limits", [x.value_without for x in rows], "none"),
         ("fit with limits", [x.limit.value for x in rows], COLOURS[0]),
@@ -40,10 +42,12 @@ def plausibility_figure(price: PlausibilityPrice) -> Figure:
             markersize=6.0, label=name, zorder=3, clip_on=False,
         )  # fmt: skip
         for place in np.flatnonzero(shares > MOST).tolist():
-            axes.annotate(
-                f"{abs(values[place]):.0f}", (MOST, place), (-6.0, 0.0), fontsize=SMALL,
-                textcoords="offset points", ha="right", va="center", color=BLACK,
-            )  # fmt: skip
+            beyond.setdefault(place, []).append(f"{abs(values[place]):.0f}")
+    for place, texts in beyond.items():
+        axes.annotate(
+            ", ".join(dict.fromkeys(texts)), (MOST, place), (-6.0, 0.0), fontsize=SMALL,
+            textcoords="offset points", ha="right", va="center", color=BLACK,
+        )  # fmt: skip
     axes.axvline(1.0, color=BLACK, linewidth=0.8, zorder=2)
     axes.set_yticks(places, [_words(x.limit.name, x.limit.size) for x in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
