@@ -82,13 +82,11 @@ class StabilityReport:
     @property
     @derived("Trials of the protocol", unit="1")
     def n_trials(self) -> int:
-        """How many trials there are."""
         return len(self.trials)
 
     @property
     @derived("Trials that converged at the subject's own parameters", unit="1")
     def n_converged(self) -> int:
-        """How many trials converged at the subject's own parameters."""
         return self.outcomes.count(Outcome.CONVERGED)
 
     @property
@@ -121,7 +119,6 @@ class StabilityReport:
     @property
     @derived("Largest change if all vertices were contact points, as mm and deg")
     def contact_points_change(self) -> dict[str, float]:
-        """Both changes by the choice of contact points [mm, deg]."""
         return {"mm": self.change_mm, "deg": self.change_deg}
 
     @property

@@ -670,14 +670,12 @@ class Cause:
     @property
     @derived("What the cause is, as a sentence")
     def meaning(self) -> str:
-        """What the cause is, as a sentence."""
         moved = direction_words({name: x.value for name, x in self.parameters.items()})
         return moved or (known.sentence if (known := facts_of(self.name)) else OF_THE_CALLER)
 
     @property
     @derived("Where its plausible size comes from")
     def source(self) -> str:
-        """Where its plausible size comes from."""
         return known.source if (known := facts_of(self.name)) else OF_THE_CALLER
 
 

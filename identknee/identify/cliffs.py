@@ -60,33 +60,28 @@ class CliffMap:
     @property
     @derived("Straight paths from starts to the target", unit="1")
     def n_paths(self) -> int:
-        """Number of paths."""
         return len(self.starts)
 
     @property
     @derived("Paths with a cliff on them", unit="1")
     def n_paths_with_cliff(self) -> int:
-        """Number of paths with a cliff."""
         return int(self.has_cliff.sum())
 
     @property
     @derived("Least distance of a cliff from the target; null without one", unit=DISTANCE)
     def nearest_distance(self) -> float | None:
-        """Distance of the cliff nearest to the target; None without one."""
         distances = self.edge_distances[self.has_cliff]
         return float(distances.min()) if distances.size else None
 
     @property
     @derived("Median distance of the nearest cliffs; null without one", unit=DISTANCE)
     def median_distance(self) -> float | None:
-        """Median distance of the nearest cliff of each path; None without one."""
         distances = self.edge_distances[self.has_cliff]
         return float(np.median(distances)) if distances.size else None
 
     @property
     @derived("Paths on which each trial is lost at the nearest cliff, most first", unit="1")
     def trials_lost(self) -> dict[str, int]:
-        """On how many paths each trial is lost at the cliff nearest to the target, most first."""
         numbers = dict(zip(self.trials, self.is_lost.sum(axis=0).tolist(), strict=True))
         return dict(sorted(numbers.items(), key=lambda pair: -pair[1]))
 

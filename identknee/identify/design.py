@@ -520,7 +520,6 @@ class ChosenTrials:
         key="predicted",
     )
     def predicted_ends(self) -> dict[str, tuple[float | None, float | None]]:
-        """Ends of each target's interval as predicted with all trials added."""
         ends = [tuple(None if np.isnan(x) else float(x) for x in row) for row in self.predicted[-1]]
         return {name: (low, high) for name, (low, high) in zip(self.targets, ends, strict=True)}
 
@@ -532,7 +531,6 @@ class ChosenTrials:
         "targets, predicted; where costs differ, also the same for the cost of one trial"
     )
     def ranking(self) -> tuple[dict[str, Any], ...]:
-        """Trials, halved errors and other steps, by how much they narrow the targets per cost."""
         parts = (
             *(("trial", *x) for x in zip(self.names, self.narrowing.by_trial, strict=True)),
             *(
@@ -563,7 +561,6 @@ class ChosenTrials:
     @property
     @derived("Number of candidates", unit="1")
     def n_candidates(self) -> int:
-        """Number of candidates."""
         return len(self.names)
 
     @property

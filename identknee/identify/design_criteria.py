@@ -356,7 +356,6 @@ class Excluded:
     @property
     @derived("Why it is not offered", key="reason")
     def sentence(self) -> str:
-        """The reason, in a sentence."""
         if self.at_fit:
             return f"{self.name} has no prediction at the best fit."
         return (

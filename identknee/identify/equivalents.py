@@ -436,13 +436,11 @@ class Extrema:
     @property
     @derived("Smallest value over the region", unit=OF_QUANTITY, key="lower")
     def smallest(self) -> float:
-        """The smallest value."""
         return self.lower.value
 
     @property
     @derived("Largest value over the region", unit=OF_QUANTITY, key="upper")
     def largest(self) -> float:
-        """The largest value."""
         return self.upper.value
 
 
@@ -512,31 +510,26 @@ class EquivalentSets:
     @property
     @derived("What the outcome means")
     def sentence(self) -> str:
-        """What the outcome means, as a full sentence."""
         return self.outcome.sentence
 
     @property
     @derived("Parameter sets found", unit="1")
     def n_sets(self) -> int:
-        """Number of sets."""
         return len(self.sets)
 
     @property
     @derived("Largest value of a block at any set", unit="1")
     def largest_distance(self) -> float:
-        """The largest value of a block at any set."""
         return float(self.distances.max())
 
     @property
     @derived("Largest distance of two sets", unit="typical steps")
     def farthest(self) -> float:
-        """The largest distance of two sets, in typical steps."""
         return float(pdist(self.sets / self.steps).max())
 
     @property
     @derived("Smallest distance of two sets", unit="typical steps")
     def closest(self) -> float:
-        """The smallest distance of two sets, in typical steps."""
         return float(pdist(self.sets / self.steps).min())
 
 

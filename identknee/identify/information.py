@@ -221,7 +221,6 @@ class Information:
         "Eigenvalues from stiff to sloppy, and the combinations they belong to", key="eigenvalues"
     )
     def spectrum(self) -> tuple[Eigenvalue, ...]:
-        """Each eigenvalue with its floor and its combination of parameters."""
         return tuple(
             Eigenvalue(
                 value=float(value),
@@ -316,26 +315,22 @@ class Information:
     @property
     @derived("Collinearity index of all parameters", unit="1", key="collinearity")
     def collinearity_of_all(self) -> float:
-        """Collinearity index of all parameters."""
         return self.collinearity()
 
     @property
     @derived("Pairs and triples that stand in for one another best", key="collinear")
     def most_collinear(self) -> tuple[Collinear, ...]:
-        """The three most collinear pairs, then the three most collinear triples."""
         sizes = [x for x in (2, 3) if x <= len(self.parameter_names)]
         return tuple(x for size in sizes for x in self.collinear_sets(size)[:MOST_COLLINEAR])
 
     @property
     @derived("Parameters at which it was computed, by name", unit=OF_PARAMETER, key="theta")
     def theta_by_name(self) -> dict[str, float]:
-        """Theta by parameter."""
         return dict(zip(self.parameter_names, self.theta.tolist(), strict=True))
 
     @property
     @derived("Scaled unit of each parameter", unit=OF_PARAMETER, key="scales")
     def scale_by_name(self) -> dict[str, float]:
-        """Scaled unit by parameter."""
         return dict(zip(self.parameter_names, self.scales.tolist(), strict=True))
 
     @property
@@ -346,7 +341,6 @@ class Information:
         key="sd",
     )
     def sd_by_name(self) -> dict[str, float]:
-        """Standard deviation by parameter."""
         return dict(zip(self.parameter_names, self.sd.tolist(), strict=True))
 
     def _spread(self) -> tuple[Array, Array]:
@@ -532,26 +526,22 @@ class Geodesic:
     @property
     @derived("Where it goes and what ended it")
     def sentence(self) -> str:
-        """Where it goes and what ended it."""
         last = combination(self.parameter_names, self.directions[-1])
         return f"{self.boundary.sentence} ({', '.join(self.involved)}; going along {last})"
 
     @property
     @derived("Parameters where it ends, by name", unit=OF_PARAMETER)
     def end(self) -> dict[str, float]:
-        """The last point by parameter."""
         return dict(zip(self.parameter_names, self.thetas[-1].tolist(), strict=True))
 
     @property
     @derived("Length on the surface of predictions, in units of the noise", unit="1")
     def length(self) -> float:
-        """Arc length from the start to the end, in units of the noise."""
         return float(self.lengths[-1])
 
     @property
     @derived("Deviance at the end less that at the start", unit="1")
     def rise_of_deviance(self) -> float:
-        """How much worse the end fits than the start."""
         return float(self.deviances[-1] - self.deviances[0])
 
 
@@ -780,13 +770,11 @@ class StructureCheck:
     @property
     @derived("Points drawn", unit="1")
     def n_points(self) -> int:
-        """Number of points drawn."""
         return len(self.ranks)
 
     @property
     @derived("Points with a prediction", unit="1")
     def n_with_prediction(self) -> int:
-        """Number of points with a prediction."""
         return int(self.has_prediction.sum())
 
     @property
@@ -798,7 +786,6 @@ class StructureCheck:
     @property
     @derived("Whether data without noise would determine every parameter")
     def verdict(self) -> Structure:
-        """The verdict on the parameters."""
         if self.rank == NO_RANK:
             return Structure.UNKNOWN
         is_full = self.rank == self.thetas.shape[1]
@@ -807,7 +794,6 @@ class StructureCheck:
     @property
     @derived("What the verdict means")
     def sentence(self) -> str:
-        """What the verdict means, as a full sentence."""
         return self.verdict.sentence
 
 

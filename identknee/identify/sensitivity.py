@@ -203,7 +203,6 @@ class Sensitivity:
     @property
     @derived("What was done about simulations without a prediction", key="failures")
     def rule(self) -> str:
-        """What was done about simulations without a prediction."""
         if self.method not in COMPLETE:
             return self.rule_of_lost
         only = f"`complete` uses only {COMPLETE[self.method]} without any failure of the output"
@@ -219,7 +218,6 @@ class Sensitivity:
         "Share of the simulations with an output without prediction", unit="1", key="failed_share"
     )
     def share_failed(self) -> float:
-        """Share of the simulations that failed somewhere."""
         return float(self.failed_share[-1])
 
     @property
@@ -229,7 +227,6 @@ class Sensitivity:
         key="largest_half_width",
     )
     def worst_half_width(self) -> float:
-        """Largest half-width of any group of outputs."""
         return float(self.largest_half_width[:-1].max())
 
     @property
@@ -251,7 +248,6 @@ class Sensitivity:
         key="indices",
     )
     def largest(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The largest of each index by parameter."""
         return {
             name: {
                 parameter: {

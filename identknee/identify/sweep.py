@@ -105,37 +105,31 @@ class SweepSearches:
     @property
     @derived("Searches made", unit="1", key="n_starts")
     def n(self) -> int:
-        """How many searches there are."""
         return len(self.starts)
 
     @property
     @derived("Simulations of all searches", unit="1", key="n_simulations")
     def total_simulations(self) -> int:
-        """Simulations of all searches."""
         return int(self.n_simulations.sum())
 
     @property
     @derived("Simulations of polishing all ends", unit="1", key="n_polishing")
     def total_polishing(self) -> int:
-        """Simulations of polishing all ends."""
         return int(self.n_polishing.sum())
 
     @property
     @derived("Ends of each kind, of those that occur")
     def kinds(self) -> dict[str, int]:
-        """How many ends there are of each kind."""
         return self.counts(self.kind_codes)
 
     @property
     @derived("Searches by how they ended")
     def outcomes(self) -> dict[str, int]:
-        """How many searches ended in each way."""
         return self.counts(self.outcome_codes)
 
     @property
     @derived("Polished ends by how the polishing ended")
     def polished_outcomes(self) -> dict[str, int]:
-        """How many polishings ended in each way."""
         return self.counts(self.polished_codes)
 
     @property
@@ -511,13 +505,11 @@ class Basins:
     @property
     @derived("Minima found", unit="1")
     def n_basins(self) -> int:
-        """Number of basins."""
         return len(self.basins)
 
     @property
     @derived("The first twenty minima, with their starts and parameters", key="basins")
     def listed(self) -> list[Mapping[str, Any]]:
-        """The first twenty minima in JSON types."""
         return [
             {
                 "objective": x.objective,
@@ -689,7 +681,6 @@ class Recovery:
     @property
     @derived("Distance within which nine of ten starts recover it")
     def radius(self) -> Radius:
-        """The radius for a probability of 0.9."""
         return radius(self)
 
 
@@ -813,7 +804,6 @@ class Survey:
     @property
     @derived("Part of the start volume that leads to basins not seen yet", key="unseen_mass")
     def unseen(self) -> UnseenMass:
-        """The unseen mass."""
         return unseen_mass(self.basins.labels)
 
 

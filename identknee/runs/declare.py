@@ -68,6 +68,11 @@ class Entry:
     words: tuple[str, ...] = ()
 
     @property
+    def meaning_with_unit(self) -> str:
+        """The meaning, with the unit in brackets where there is one."""
+        return self.meaning if self.unit in ("", "1") else f"{self.meaning} [{self.unit}]"
+
+    @property
     def is_in_files(self) -> bool:
         """Whether either file has it; what is not, the caller of a verb gets alone."""
         return self.is_in_json or bool(self.dims or self.group or self.rows)
@@ -107,10 +112,15 @@ def array(
 
 
 def derived(meaning: str, **where: Any) -> Callable[[Getter], Getter]:
-    """Decorator, below ``@property``, of what ``result.json`` says beside the fields."""
+    """Decorator, below ``@property``, of what ``result.json`` says beside the fields.
+
+    The meaning is the docstring of a property that has no other.
+    """
 
     def mark(getter: Getter) -> Getter:
-        setattr(getter, DERIVED, Entry(meaning=meaning, **where))
+        about = Entry(meaning=meaning, **where)
+        setattr(getter, DERIVED, about)
+        getter.__doc__ = getter.__doc__ or f"{about.meaning_with_unit}."
         return getter
 
     return mark
@@ -162,9 +172,8 @@ def declared(cls: type[Made]) -> type[Made]:
     made = dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)(cls)
     lines = []
     for name, about in entries(made).items():
-        unit = f" [{about.unit}]" if about.unit not in ("", "1") else ""
         shape = f", shape ``({', '.join(about.dims)}{',' * (len(about.dims) == 1)})``"
-        lines += [name, f"    {about.meaning}{unit}{shape if about.dims else ''}."]
+        lines += [name, f"    {about.meaning_with_unit}{shape if about.dims else ''}."]
     text = made.__doc__ or ""
     if lines and "Attributes\n" not in text:
         made.__doc__ = "\n".join([text.rstrip(), "", "Attributes", "----------", *lines, ""])

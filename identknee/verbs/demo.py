@@ -110,37 +110,31 @@ class StartFits:
     @property
     @derived("Number of runs", unit="1")
     def n_runs(self) -> int:
-        """Number of runs."""
         return len(self.ends)
 
     @property
     @derived("How many runs ended in which way", unit="1")
     def outcomes(self) -> dict[str, int]:
-        """How many runs ended in which way."""
         return dict(Counter(x.value for x in self.ends))
 
     @property
     @derived("Medians of both errors over the runs, as kN and pct")
     def error(self) -> dict[str, float]:
-        """Medians of both errors over the runs [kN, %]."""
         return {"kN": _median(self.error_kN), "pct": _median(self.error_pct)}
 
     @property
     @derived("Medians of both errors of the laxity over the runs, as mm and deg")
     def rmse(self) -> dict[str, float]:
-        """Medians of both errors of the laxity over the runs [mm, deg]."""
         return {"mm": _median(self.rmse_mm), "deg": _median(self.rmse_deg)}
 
     @property
     @derived("Median number of simulations of a run", unit="1")
     def n_simulations(self) -> float:
-        """Median number of simulations of a run."""
         return _median(self.simulations)
 
     @property
     @derived("Median time of a run", unit="s")
     def seconds(self) -> float:
-        """Median time of a run [s]."""
         return _median(self.search_seconds)
 
 
@@ -160,7 +154,6 @@ class Demonstration(SimulatedLaxity):
     @property
     @derived("The parameters that made the data, by ligament and quantity", unit=OF_PARAMETER)
     def truth(self) -> dict[str, dict[str, float]]:
-        """The parameters that made the data, by ligament and quantity."""
         return by_ligament(self.parameter_set)
 
 

@@ -44,7 +44,6 @@ class LocalIdentifiability(Answer):
     @property
     @derived("Simulations made in all, each with its Jacobian", unit="1")
     def n_simulations(self) -> int:
-        """Simulations made, each with its Jacobian."""
         paths = sum(x.n_simulations for x in self.geodesics)
         return self.fisher.n_simulations + self.structure.n_points + paths
 

@@ -60,7 +60,6 @@ class Installation:
     @property
     @derived("Whether all is as it should be")
     def is_sound(self) -> bool:
-        """Whether all is as it should be."""
         return all(x.is_sound for x in self.checks)
 
     @property

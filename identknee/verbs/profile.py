@@ -83,7 +83,6 @@ class Profiles(Answer):
     @property
     @derived("Best fit by parameter", unit=OF_PARAMETER, key="optimum")
     def optimum_by_name(self) -> dict[str, float]:
-        """Theta of the best fit by parameter."""
         return dict(zip(self.parameter_names, self.optimum.tolist(), strict=True))
 
     @property
@@ -103,7 +102,6 @@ class Profiles(Answer):
     @property
     @derived("Simulations made for the profiles, each with its Jacobian", unit="1")
     def n_simulations(self) -> int:
-        """Simulations made, each with its Jacobian."""
         pairs = sum(x.n_simulations for x in self.pairs)
         profiles = (*self.profiles, *self.with_priors.values())
         return pairs + sum(x.n_simulations for x in profiles)

@@ -115,13 +115,11 @@ class Draws:
     @property
     @derived("Walkers of all ensembles", unit="1")
     def n_chains(self) -> int:
-        """Walkers of all ensembles."""
         return len(self.theta)
 
     @property
     @derived("Steps of each after burn-in", unit="1")
     def n_draws(self) -> int:
-        """Steps of each walker after burn-in."""
         return int(self.theta.shape[1])
 
 
@@ -167,7 +165,6 @@ class Predictive:
     @property
     @derived("Draws predicted at", unit="1")
     def n_draws(self) -> int:
-        """Draws predicted at."""
         return len(self.places)
 
 
@@ -343,7 +340,6 @@ class MeasuredCells:
     @property
     @derived("Measured values", unit="1")
     def n_cells(self) -> int:
-        """How many values were measured."""
         return len(self.names)
 
 
@@ -432,25 +428,21 @@ class Sample(Answer):
     @property
     @derived("What the outcome means")
     def sentence(self) -> str:
-        """What the outcome means, as a full sentence."""
         return self.outcome.sentence
 
     @property
     @derived("Largest R-hat of a parameter; null without a sample", unit="1")
     def rhat_max(self) -> float | None:
-        """Largest R-hat of a parameter."""
         return self.last_check.conditions["rhat"][0] if self.last_check else None
 
     @property
     @derived("Fewest effective draws of bulk or tail; null without a sample", unit="1")
     def ess_min(self) -> float | None:
-        """Fewest effective draws of the bulk or the tails of a parameter."""
         return self.last_check.conditions["effective_draws"][0] if self.last_check else None
 
     @property
     @derived("Every condition of convergence: its number, its bar, and whether it is met")
     def gate(self) -> dict[str, dict[str, Any]]:
-        """The conditions of the last check by name."""
         conditions = self.last_check.conditions if self.last_check else {}
         return {
             name: {"value": value, "bar": bar, "met": met}
@@ -460,19 +452,16 @@ class Sample(Answer):
     @property
     @derived("Steps of every walker, burn-in included", unit="1")
     def steps(self) -> int:
-        """Steps of every walker."""
         return self.last_check.steps if self.last_check else 0
 
     @property
     @derived("Steps left out as burn-in", unit="1")
     def burn_in(self) -> int:
-        """Steps left out at the beginning."""
         return self.last_check.burn_in if self.last_check else 0
 
     @property
     @derived("Part of the steps in which a walker moved: the mean and the lowest", unit="1")
     def acceptance(self) -> dict[str, float]:
-        """Mean and lowest acceptance."""
         if self.last_check is None:
             return {}
         rates = self.last_check.acceptance
@@ -481,14 +470,12 @@ class Sample(Answer):
     @property
     @derived("Ensemble and number of each walker that hardly ever moved")
     def stuck_walkers(self) -> list[list[int]]:
-        """Places of stuck walkers."""
         places = np.argwhere(self.last_check.stuck) if self.last_check else np.empty((0, 2))
         return [[int(x) for x in row] for row in places]
 
     @property
     @derived("What the walkers started around", unit=OF_PARAMETER, key="optima")
     def listed_optima(self) -> list[list[float]]:
-        """The optima as lists."""
         return [[float(x) for x in row] for row in self.optima]
 
 

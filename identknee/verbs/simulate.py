@@ -104,19 +104,16 @@ class SimulatedLaxity(Answer):
     @property
     @derived("Number of trials", unit="1")
     def n_trials(self) -> int:
-        """Number of trials."""
         return self.protocol.n
 
     @property
     @derived("Number of trials with an equilibrium", unit="1")
     def n_converged(self) -> int:
-        """Number of trials with an equilibrium."""
         return sum(x is Outcome.CONVERGED for x in self.outcomes)
 
     @property
     @derived("Parameters simulated with, by ligament and quantity", unit=OF_PARAMETER)
     def parameters(self) -> dict[str, dict[str, float]]:
-        """Parameters by ligament and quantity."""
         return by_ligament(self.parameter_set)
 
 

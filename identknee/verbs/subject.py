@@ -229,13 +229,11 @@ class SubjectCheck(SubjectFacts):
     @property
     @derived("Findings that forbid any use", unit="1")
     def n_errors(self) -> int:
-        """How many findings forbid any use."""
         return self._count(Severity.ERROR)
 
     @property
     @derived("Findings that should be looked at", unit="1")
     def n_warnings(self) -> int:
-        """How many findings should be looked at."""
         return self._count(Severity.WARNING)
 
     def _count(self, severity: Severity) -> int:
@@ -383,7 +381,6 @@ class NamedSubjectFacts:
     @property
     @derived("Whether the name also stands for a table of measured laxity")
     def has_measured_laxity(self) -> bool:
-        """Whether the name also stands for a table of measured laxity."""
         return self.n_measured_trials > 0
 
 

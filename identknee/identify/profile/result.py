@@ -460,7 +460,6 @@ class Side:
     @property
     @derived("What status and origin mean")
     def sentence(self) -> str:
-        """What status and origin mean, as a full sentence."""
         if self.bound_of is not None:
             return (
                 f"This end depends on the bound of {self.bound_of}: with twice its room the end "
@@ -541,25 +540,21 @@ class Profile:
     @property
     @derived("Lower end of the set; null where it is open", unit=OF_QUANTITY)
     def lower(self) -> float | None:
-        """The lower end; None where the set is open below."""
         return self.intervals[0][0]
 
     @property
     @derived("Upper end of the set; null where it is open", unit=OF_QUANTITY)
     def upper(self) -> float | None:
-        """The upper end; None where the set is open above."""
         return self.intervals[-1][1]
 
     @property
     @derived("How the set ended below")
     def lower_status(self) -> SideStatus:
-        """How the set ended below."""
         return self.lower_side.status
 
     @property
     @derived("How the set ended above")
     def upper_status(self) -> SideStatus:
-        """How the set ended above."""
         return self.upper_side.status
 
     @property
@@ -595,7 +590,6 @@ class Profile:
     @property
     @derived("What the verdict means")
     def sentence(self) -> str:
-        """What the verdict means, as full sentences that name what sets an end."""
         ends = (("lower", self.lower_side), ("upper", self.upper_side))
         sentences = [
             f"The {which} end depends on the bound of {side.bound_of}."
@@ -613,7 +607,6 @@ class Profile:
     @property
     @derived("Points of the curve", unit="1")
     def n_points(self) -> int:
-        """Number of points of the curve."""
         return len(self.values)
 
     @property
