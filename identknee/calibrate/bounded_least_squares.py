@@ -99,15 +99,10 @@ def bounded_step(
         that the bounds allow.
     """
     n, rows = matrix.shape[1], np.column_stack([matrix, data])
-    is_done = _is_large_triangle(rows)
+    # There is nothing to factorise that would take long.
+    is_done = len(rows) <= n + 1 > LARGE and not np.tril(rows, -1).any()
     triangle = rows if is_done else np.asarray(np.linalg.qr(rows, mode="r"))
     return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
-
-
-def _is_large_triangle(rows: Array) -> bool:
-    """Whether there is nothing to factorise that would take long."""
-    m, n = rows.shape
-    return m <= n > LARGE and not np.tril(rows, -1).any()
 
 
 def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float) -> float:

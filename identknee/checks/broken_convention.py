@@ -1,6 +1,6 @@
 """Which broken convention explains why a model does not fit a table."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -350,7 +350,11 @@ def find_broken_convention(
             found.append(put_right)
     if not found:
         return None
-    best = _simplest(found)
+    lowest = min(x.score for x in found)
+    # Of those that are as good the one with the fewest cuts: a structure that carries nothing in
+    # the trials may be cut or not.
+    alike = [x for x in found if x.score <= AS_GOOD * lowest]
+    best = min(alike, key=lambda x: (x.table.n_cuts, x.score))
     if _has_physical_rival(as_is, theta, best):
         return None
     before_mm, before_deg = as_is.errors(theta)
@@ -366,16 +370,6 @@ def find_broken_convention(
             x.convention.what for x in found if x is not best and x.score <= AS_GOOD * best.score
         ),
     )
-
-
-def _simplest(found: Sequence[_PutRight]) -> _PutRight:
-    """The best, or of those that are as good the one with the fewest cuts.
-
-    A structure that carries nothing in the trials may be cut or not.
-    """
-    lowest = min(x.score for x in found)
-    alike = [x for x in found if x.score <= AS_GOOD * lowest]
-    return min(alike, key=lambda x: (x.table.n_cuts, x.score))
 
 
 def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candidate], int]:

@@ -429,11 +429,6 @@ def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Findi
     return tuple(found)
 
 
-def idle_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
-    """Ligaments that carry nothing, of those of `ligament_findings`."""
-    return tuple(x for x in ligament_findings(model, prediction) if x.code == IDLE)
-
-
 def idle_parameters(model: LaxityModel, prediction: Prediction) -> tuple[str, ...]:
     """Parameters of ligaments that carry nothing: no bound of theirs limits a fit."""
     return tuple(
@@ -568,7 +563,7 @@ def check_fit(
         *fitted.misfit,
         *stability_findings(model),
         *rim_findings(model.protocol.trials, fitted.prediction),
-        *idle_findings(model, fitted.prediction),
+        *(x for x in ligament_findings(model, fitted.prediction) if x.code == IDLE),
         *implausible_findings(model, fitted.prediction),
     ]
     table = table_findings(model, whole)

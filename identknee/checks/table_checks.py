@@ -193,7 +193,9 @@ class LeaveOneOut:
             Those of them that count, shape ``(t, w)``.
         """
         left = np.where(is_used, self.left[chosen], 0.0)
-        inverse = _inverse(self._blocks(chosen) * (is_used[:, :, None] & is_used[:, None, :]))
+        blocks = self._blocks(chosen) * (is_used[:, :, None] & is_used[:, None, :])
+        # Values of one group may be linearly dependent.
+        inverse = np.linalg.pinv(blocks, rcond=LEAST_LEFT, hermitian=True)
         return np.asarray(np.einsum("ti,tij,tj->t", left, inverse, left))
 
     def without(self, chosen: IntArray) -> "LeaveOneOut":
@@ -218,11 +220,6 @@ class LeaveOneOut:
         own = self.own[np.repeat(chosen, width, axis=1), np.tile(chosen, (1, width))]
         explained = self.explained.T[chosen]
         return np.asarray(own.toarray().reshape(trials, width, width) - explained @ explained.mT)
-
-
-def _inverse(blocks: Array) -> Array:
-    """Pseudo-inverses of matrices of inner products, which may be linearly dependent."""
-    return np.asarray(np.linalg.pinv(blocks, rcond=LEAST_LEFT, hermitian=True), float)
 
 
 def leave_one_out(residuals: Array, jacobian: Array, columns: Any) -> LeaveOneOut:

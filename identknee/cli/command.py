@@ -75,8 +75,11 @@ class CommandGroup(typer.core.TyperGroup):
         except Exception as error:
             if _ends_command(error):
                 raise
+            settings = ctx.meta.get(SETTINGS, {})
+            out = settings.get("out")
+            folder = out if out is not None and out.is_dir() else None
             sentence, code = _expected_error(error) or (
-                _unexpected_error(error, ctx.meta),
+                report_unexpected_error(error, settings, folder),
                 NOT_COMPUTED,
             )
         if ctx.meta.get(IS_NEW):
@@ -104,7 +107,10 @@ def _expected_error(error: Exception) -> tuple[str, int] | None:
     if isinstance(error, typer.BadParameter):
         return option_sentence(error), WRONG_INPUT
     if isinstance(error, NotComputable | ModuleNotFoundError | WorkerTerminated):
-        return f"{error}{missing_module_hint(error)}", NOT_COMPUTED
+        # That Python reported a missing module; identknee itself says what to do.
+        is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
+        hint = ". To see what is missing: identknee doctor" if is_python else ""
+        return f"{error}{hint}", NOT_COMPUTED
     if isinstance(error, MemoryError):
         return "there is not enough memory", NOT_COMPUTED
     if isinstance(error, OSError):
@@ -114,26 +120,12 @@ def _expected_error(error: Exception) -> tuple[str, int] | None:
     return None
 
 
-def _unexpected_error(error: Exception, meta: Mapping[str, Any]) -> str:
-    settings = meta.get(SETTINGS, {})
-    out = settings.get("out")
-    return report_unexpected_error(
-        error, settings, out if out is not None and out.is_dir() else None
-    )
-
-
 def option_sentence(error: typer.BadParameter) -> str:
     """What is wrong with an option and where to read about it, as one sentence."""
     where = "identknee" if error.ctx is None else error.ctx.command_path
     # The library that checks types puts words before the message and a full stop behind it.
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     return f"{message}. See: {where} --help"
-
-
-def missing_module_hint(error: Exception) -> str:
-    """Remedy for a missing module that Python reported; empty if identknee did."""
-    is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
-    return ". To see what is missing: identknee doctor" if is_python else ""
 
 
 def is_identknee_error(error: ValueError) -> bool:

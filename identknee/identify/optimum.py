@@ -129,7 +129,10 @@ def with_fits_from(
     brief: FitSettings = {"budget": budget, **how}
     around = fit_many(problem, points, seed=seed, executor=executor, **brief)
     fits = sorted([first, *around], key=lambda one: one.objective)
-    if _misfit_ratio(problem, fits[0]) > GROSS:
+    residuals = problem.residuals(fits[0].theta)
+    # 1 if noise is all that is left.
+    ratio = float(residuals @ residuals) / max(residuals.size - fits[0].theta.size, 1)
+    if ratio > GROSS:
         gone = nearly_gone(problem.parameters, first.start, held)
         found = fit_many(problem, gone, seed=seed, executor=executor, **brief)
         fits = sorted([*fits, *found], key=lambda one: one.objective)
@@ -147,12 +150,6 @@ def with_fits_from(
         if idle == MOST_IDLE:
             break
     return tuple(fits)
-
-
-def _misfit_ratio(problem: Problem, found: Fit) -> float:
-    """Sum of squared residuals over their degrees of freedom: 1 if noise is all that is left."""
-    residuals = problem.residuals(found.theta)
-    return float(residuals @ residuals) / max(residuals.size - found.theta.size, 1)
 
 
 def nearly_gone(parameters: Parameters, start: Array, held: Sequence[int] = ()) -> Array:
@@ -367,9 +364,6 @@ def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]
     Estimates scatter by what the data have taken from the variance of the prior. Parameters as in
     `nuisance_estimates`.
     """
-    # Loaded late: it takes longer than a simulation.
-    from scipy.special import chdtrc
-
     p = problem.parameters
     covariance = _covariance(problem, theta)
     made = []
@@ -381,7 +375,7 @@ def nuisance_groups(problem: Problem, theta: Array) -> tuple[NuisanceGroup, ...]
         seen = size > LEAST_SEEN
         square = float(np.sum((directions[:, seen].T @ away) ** 2 / size[seen]))
         n = int(seen.sum())
-        p_value = float(chdtrc(n, square)) if n else 1.0
+        p_value = float(scipy.special.chdtrc(n, square)) if n else 1.0
         made.append(NuisanceGroup(name=name, n=len(places), p_value=p_value))
     return tuple(made)
 

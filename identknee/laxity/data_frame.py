@@ -56,7 +56,7 @@ def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
         raise InputError(NAME, "columns", why, "Give each column one name, such as varus_deg.")
     attrs: Mapping[Any, Any] = getattr(frame, "attrs", {})
     stated = [f"# {x}: {_words(attrs[x])}" for x in STATED if x in attrs]
-    labels = [_row(x) for x in frame.index]
+    labels = [f"row {x}" for x in frame.index]
     # Text is quoted, so that no name of a trial is taken for a comment.
     named = any(x is not None for x in frame.index.names)
     text = (frame.reset_index() if named else frame).to_csv(
@@ -69,7 +69,3 @@ def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
 def _words(value: Any) -> str:
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return ", ".join(map(str, value)) if is_list else str(value)
-
-
-def _row(label: Any) -> str:
-    return f"row {label}"

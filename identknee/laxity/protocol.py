@@ -450,14 +450,16 @@ def range_fault(column: str, value: float) -> tuple[str, str] | None:
         why = f"a flexion of {value:g} deg lies outside {low:g} to {high:g} deg"
         return why, "Give the flexion angle in degrees, 0 in extension."
     if column.endswith("_Nm"):
-        if abs(value) <= MOMENT_LIMIT_NM:
-            return None
-        why = f"a moment of {value:g} N·m is beyond {MOMENT_LIMIT_NM:g} N·m either way"
-        return why, "If it is in N·mm, divide it by 1000."
-    if abs(value) <= FORCE_LIMIT_N:
+        remedy = "If it is in N·mm, divide it by 1000."
+        return beyond("a moment", value, MOMENT_LIMIT_NM, "N·m", remedy)
+    return beyond("a force", value, FORCE_LIMIT_N, "N", "Check its unit: forces are given in N.")
+
+
+def beyond(what: str, value: float, limit: float, unit: str, remedy: str) -> tuple[str, str] | None:
+    """That a value lies beyond a limit either way, and the remedy; None if it does not."""
+    if abs(value) <= limit:
         return None
-    why = f"a force of {value:g} N is beyond {FORCE_LIMIT_N:g} N either way"
-    return why, "Check its unit: forces are given in N."
+    return f"{what} of {value:g} {unit} is beyond {limit:g} {unit} either way", remedy
 
 
 def name_fault(name: str) -> tuple[str, str] | None:

@@ -9,12 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.angles import (
-    coordinate_turns,
-    flexion_turns,
-    is_from_straight,
-    is_negative,
-)
 from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.experiments import cuts_of, state_words
 from identknee.laxity.forces import (
@@ -33,6 +27,7 @@ from identknee.laxity.protocol import (
     LOADS,
     UNLOADED,
     Protocol,
+    beyond,
     from_zero,
     load_protocol,
     name_fault,
@@ -41,16 +36,20 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
-from identknee.laxity.storage import SUFFIXES
 from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
+    SUFFIXES,
     TIME,
     CellFile,
     TableRow,
     angles,
+    coordinate_turns,
     correlation_fault,
+    flexion_turns,
+    is_from_straight,
     is_held,
+    is_negative,
     levels,
     mean_curves,
     statements,
@@ -647,14 +646,10 @@ def _measured(row: TableRow) -> list[float]:
 def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
     """Why no knee has this coordinate, and the remedy; None if one may."""
     if column.endswith("_deg"):
-        if abs(value) <= ANGLE_LIMIT_DEG:
-            return None
-        why = f"an angle of {value:g} deg is beyond {ANGLE_LIMIT_DEG:g} deg either way"
-        return why, "Give angles in degrees, 0 where the axes of both bones agree."
-    if abs(value) <= LENGTH_LIMIT_MM:
-        return None
-    why = f"a translation of {value:g} mm is beyond {LENGTH_LIMIT_MM:g} mm either way"
-    return why, "Give lengths in mm, from the femoral to the tibial origin."
+        remedy = "Give angles in degrees, 0 where the axes of both bones agree."
+        return beyond("an angle", value, ANGLE_LIMIT_DEG, "deg", remedy)
+    remedy = "Give lengths in mm, from the femoral to the tibial origin."
+    return beyond("a translation", value, LENGTH_LIMIT_MM, "mm", remedy)
 
 
 def relative_to_unloaded(laxity: Laxity) -> Laxity:

@@ -1,4 +1,7 @@
-"""The text of a laxity table: cells, curves of a rig, and statements in comment lines."""
+"""The text of a laxity table: cells, curves of a rig, statements in comment lines, and angles.
+
+OpenSim storages (``.sto``, ``.mot``) are read as tables: their heads say how angles are counted.
+"""
 
 import csv
 import io
@@ -8,12 +11,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import Enum, unique
 from pathlib import Path
 from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.angles import default_angles
 from identknee.laxity.data_frame import NAME, Frame, frame_text, is_frame
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -26,14 +29,6 @@ from identknee.laxity.protocol import (
     ZEROS,
     Protocol,
     zero_fault,
-)
-from identknee.laxity.storage import (
-    DEG,
-    IN_DEGREES,
-    SUFFIXES,
-    Counted,
-    as_csv,
-    counted,
 )
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.runs.arrays import Array
@@ -710,3 +705,167 @@ def _stated_numbers(
                 return tuple(dict.fromkeys(known))
             file.refuse(line, "", f"{words.strip()!r} {why}", remedy)
     return ()
+
+
+SUFFIXES, MOTION, END = (".sto", ".mot"), ".mot", "endheader"
+DEG = 57.29577951308232
+# A factor that turns radians into degrees, to the digits that people write.
+IN_DEGREES = (57.2, 57.4)
+_STATED = re.compile(r"(\w+)[ \t=]+(.*)")
+
+
+@unique
+class Counted(Enum):
+    """How angles of a storage are counted, and what says so."""
+
+    DEGREES = "degrees"
+    RADIANS = "radians"
+    # No line says so, and OpenSim takes them for radians.
+    RADIANS_UNSAID = "radians unsaid"
+    # OpenSim takes them for degrees whatever the line says.
+    CONTRADICTED = "contradicted"
+
+
+def as_csv(file: TextIO) -> str:
+    """An OpenSim storage with its head as comments, line by line; cells that say nan are blank."""
+    lines, is_head = [], True
+    for line in file:
+        words = ["" if x.lower() == "nan" else x for x in line.split()]
+        lines.append(f"# {line.strip().lstrip('# ')}" if is_head else "\t".join(words))
+        is_head = is_head and line.strip().lower() != END
+    return "\n".join(lines)
+
+
+def counted(head: Iterable[str], suffix: str) -> Counted:
+    """How OpenSim counts the angles of a storage with these lines of its head.
+
+    As OpenSim 4 reads them: ``inDegrees`` with ``yes`` or ``y`` states degrees and with any other
+    word radians, and where it is missing angles are radians. Of old files, without a version, the
+    head may say "Angles are in degrees.", and those called ``.mot`` have degrees whatever they say.
+
+    Examples
+    --------
+    >>> counted(["version=1", "inDegrees=yes"], ".sto").value, counted([], ".mot").value
+    ('degrees', 'degrees')
+    >>> counted(["version=1"], ".mot").value
+    'radians unsaid'
+    """
+    lines = [x.strip() for x in head]
+    stated = {found[1]: found[2].strip() for x in lines if (found := _STATED.fullmatch(x))}
+    word = stated.get("inDegrees")
+    is_old = re.match(r"[1-9]", stated.get("version", "0")) is None
+    said = None if word is None else word.lower() in {"yes", "y"}
+    if is_old and suffix.lower() == MOTION:
+        return Counted.CONTRADICTED if said is False else Counted.DEGREES
+    if is_old and said is None:
+        words = {"Angles are in degrees.": True, "Angles are in radians.": False}
+        said = next((words[x] for x in lines if x in words), None)
+    if said is None:
+        return Counted.RADIANS_UNSAID
+    return Counted.DEGREES if said else Counted.RADIANS
+
+
+WHOLE_TURN, STRAIGHT = 360.0, 180.0
+# Beyond this no angle of a knee is likely, so that less a whole turn it is what was meant.
+LIKELY_DEG = 90.0
+# Angles that are all this far from zero, on both sides, lie about half a turn.
+NEAR_HALF = 150.0
+
+
+def flexion_turns(values: Array) -> Array:
+    """What to add to each flexion angle [deg]: a whole turn where only that makes it one.
+
+    Examples
+    --------
+    >>> flexion_turns(np.array([357.0, 2.0, 90.0, 200.0])).tolist()
+    [-360.0, 0.0, 0.0, 0.0]
+    """
+    low, high = FLEXION_LIMITS_DEG
+    turns = np.zeros(len(values))
+    for turn in (-WHOLE_TURN, WHOLE_TURN):
+        is_meant = (values + turn >= low) & (values + turn <= high)
+        turns[is_meant & ~((values >= low) & (values <= high))] = turn
+    return turns
+
+
+def is_from_straight(values: Array) -> bool:
+    """Whether flexion angles [deg] are those of a knee that is straight at 180 deg.
+
+    All of them are such angles, and some can be nothing else.
+
+    Examples
+    --------
+    >>> is_from_straight(np.array([178.0, 150.0, -176.0])), is_from_straight(np.array([2.0, 170.0]))
+    (True, False)
+    """
+    known = values[~np.isnan(values)]
+    low, high = FLEXION_LIMITS_DEG
+    counted = STRAIGHT - known % WHOLE_TURN
+    turned = known + flexion_turns(known)
+    beyond = (turned < low) | (turned > high)
+    return bool(beyond.any() and np.all((counted >= low) & (counted <= high)))
+
+
+def is_negative(values: Array) -> bool:
+    """Whether flexion angles [deg] are those of a knee that flexes towards negative angles.
+
+    All of them are such angles, and some can be nothing else.
+
+    Examples
+    --------
+    >>> is_negative(np.array([2.0, -30.0, -90.0])), is_negative(np.array([-30.0, 60.0]))
+    (True, False)
+    """
+    known = values[~np.isnan(values)]
+    low, high = FLEXION_LIMITS_DEG
+    turned = known + flexion_turns(known)
+    return bool((turned < low).any() and np.all((-turned >= low) & (-turned <= high)))
+
+
+def coordinate_turns(values: Array) -> Array:
+    """What to add to each value of an angle [deg] so that the column has no jump of a whole turn.
+
+    Values beyond half a turn are turned back to what a knee may have. Where all are near half a
+    turn, on either side of it, as changes from a zero can be, they are cut where the widest gap is.
+
+    Examples
+    --------
+    >>> coordinate_turns(np.array([358.0, 3.0, 12.0])).tolist()
+    [-360.0, 0.0, 0.0]
+    >>> coordinate_turns(np.array([178.0, -179.0, -171.0])).tolist()
+    [-360.0, 0.0, 0.0]
+    >>> coordinate_turns(np.array([200.0, 12.0])).tolist()
+    [0.0, 0.0]
+    """
+    none = np.zeros(len(values))
+    known = values[~np.isnan(values)]
+    half = WHOLE_TURN / 2.0
+    is_within = np.abs(known) <= half
+    is_split = bool(known.size) and np.abs(known).min() >= NEAR_HALF and np.ptp(known) > half
+    if is_within.all() and not is_split:
+        return none
+    around = np.sort(known % WHOLE_TURN)
+    gaps = np.diff(np.r_[around, around[0] + WHOLE_TURN])
+    first = around[(int(np.argmax(gaps)) + 1) % len(around)]
+    lifted = first + (known - first) % WHOLE_TURN
+    lifted -= WHOLE_TURN * np.round(np.median(lifted) / WHOLE_TURN)
+    turns = WHOLE_TURN * np.round((lifted - known) / WHOLE_TURN)
+    turned = known + turns
+    is_likely = bool(np.all(np.abs(turned[~is_within]) <= LIKELY_DEG))
+    if np.ptp(turned) > half or not is_likely or np.abs(turns).max() > WHOLE_TURN:
+        return none
+    none[~np.isnan(values)] = turns
+    return none
+
+
+def default_angles(low: float, high: float, step: float = 15.0) -> tuple[float, ...]:
+    """Flexion angles [deg] at which a ramp between two of them is read.
+
+    Examples
+    --------
+    >>> default_angles(3.0, 62.0), default_angles(17.0, 25.0)
+    ((15.0, 30.0, 45.0, 60.0), (21.0,))
+    """
+    first, last = int(np.ceil(low / step)), int(np.floor(high / step))
+    found = tuple(step * k for k in range(first, last + 1))
+    return found or ((low + high) / 2.0,)

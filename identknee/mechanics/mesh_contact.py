@@ -118,7 +118,7 @@ class Sheet:
             "rim_edges": rim_edges,
             "rim_corners": np.isin(faces, faces[:, [[1, 2], [2, 0], [0, 1]]][rim_edges]),
             "tree": cKDTree(centres),
-            "hierarchy": _hierarchy_of(vertices, faces),
+            "hierarchy": collision_hierarchy(vertices, faces),
             "patches": _patches_of(vertices),
         }
         for name, value in derived.items():
@@ -334,7 +334,8 @@ def _is_on_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
     return np.asarray((on_edge | on_corner).any(axis=1))
 
 
-def _hierarchy_of(vertices: Array, faces: IntArray) -> Any:  # fcl has no types
+def collision_hierarchy(vertices: Array, faces: IntArray) -> Any:  # fcl has no types
+    """The triangles of a mesh as fcl looks for those that touch others."""
     hierarchy = fcl.BVHModel()
     hierarchy.beginModel(len(vertices), len(faces))
     hierarchy.addSubModel(vertices, faces)

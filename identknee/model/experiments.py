@@ -186,7 +186,8 @@ def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]
     made: list[Effect] = []
     for effect in stored_effects(knee):
         if effect.name in OF_STATE:
-            made += [scoped(effect, _state_scope(x)) for x in _states_with_cuts(protocol)]
+            cut_states = (x for x in dict.fromkeys(protocol.state or ()) if x != INTACT)
+            made += [scoped(effect, _state_scope(x)) for x in cut_states]
             continue
         kind = {**dict.fromkeys(OF_RIG, "rig"), **dict.fromkeys(OF_MOUNTING, "mounting")}
         scopes = _scopes(experiments, kind.get(effect.name, ""))
@@ -195,11 +196,8 @@ def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]
     stated = tuple(_rig_errors(knee, experiments))
     replaced = {y for x in stated for y in (x.name, x.name.rpartition(OF)[2])}
     kept = (x for x in made if x.name not in replaced)
-    return (*kept, *stated, *_partial_cuts(knee, protocol))
-
-
-def _states_with_cuts(protocol: Protocol) -> list[str]:
-    return [x for x in dict.fromkeys(protocol.state or ()) if x != INTACT]
+    cuts = {x.words: x for state in protocol.state or () for x in cuts_of(state) if x.is_partial}
+    return (*kept, *stated, *(cut(knee, x) for x in cuts.values()))
 
 
 def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
@@ -243,8 +241,3 @@ def _of_one_rig(effect: Effect, rig: str) -> Effect:
     )
     wider: Any = replace(made, parameters=parameters)  # type: ignore[type-var]
     return wider  # type: ignore[no-any-return]
-
-
-def _partial_cuts(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]:
-    cuts = {x.words: x for state in protocol.state or () for x in cuts_of(state) if x.is_partial}
-    return tuple(cut(knee, x) for x in cuts.values())

@@ -15,16 +15,114 @@ import numpy as np
 from identknee.laxity.experiments import INTACT, cuts_of
 from identknee.laxity.superposition import WRENCH, Superposition
 from identknee.laxity.table import Laxity
+from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.ligament_tensions import line_wrenches, twists_by_pose
 from identknee.model.effects.effect import OF
 from identknee.model.experiments import gone_in, members_of
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import index_of, structure_names
+from identknee.model.line_loads import index_of, structure_names, structures
 from identknee.model.nuisances import CELL
+from identknee.model.parameter_groups import lines_by_units
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
-from identknee.model.structure_wrenches import StructureWrenches, structure_wrenches
-from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
+from identknee.runs.arrays import Array, IntArray, short_repr
+from identknee.runs.declare import array, declared
 from identknee.runs.errors import ValueRefused
+
+
+@declared
+class StructureWrenches:
+    """What structures do to the tibia in trials, one of each a row.
+
+    Forces and moments about the tibial origin, in tibial axes. NaN where a trial has no
+    equilibrium.
+    """
+
+    values: Array = array("Force and moment", "row", "wrench_component", unit="N and N m")
+    jacobian: Array = array("Derivatives by the parameters", "row", "wrench_component", "parameter")
+    by_twist: Array = array(
+        "Derivatives by a motion of the tibia along and about its axes [mm, rad]",
+        *("row", "wrench_component", "6"),
+    )
+
+
+def structure_wrenches(
+    model: LaxityModel, prediction: Prediction, trials: Sequence[int], names: Sequence[str]
+) -> StructureWrenches:
+    """Wrenches of structures in the predicted poses, with exact derivatives.
+
+    Parameters
+    ----------
+    model, prediction
+        The model, and its prediction with derivatives.
+    trials, names
+        Place of the trial, and name of the structure, of each row.
+
+    Raises
+    ------
+    ValueError
+        If the prediction was made without derivatives, or the model has no such structure.
+    """
+    if prediction.pose_jacobian is None:
+        raise ValueError("wrenches have derivatives only where the prediction has them")
+    if not model.parts:
+        return _of_one_part(model, prediction, np.asarray(trials, np.int64), names)
+    n, k = len(trials), len(WRENCH)
+    values, by_twist = np.full((n, k), np.nan), np.full((n, k, k), np.nan)
+    jacobian = np.full((n, k, prediction.theta.size), np.nan)
+    for part in model.parts:
+        place = {int(x): i for i, x in enumerate(part.trials)}
+        rows = [i for i, x in enumerate(trials) if x in place]
+        if not rows:
+            continue
+        own = np.array([place[trials[i]] for i in rows])
+        found = _of_one_part(part.model, part.prediction(prediction), own, [names[i] for i in rows])
+        values[rows], by_twist[rows] = found.values, found.by_twist
+        part.spread(found.jacobian, jacobian, np.array(rows))
+    return StructureWrenches(values=values, jacobian=jacobian, by_twist=by_twist)
+
+
+def _of_one_part(
+    model: LaxityModel, prediction: Prediction, trials: IntArray, names: Sequence[str]
+) -> StructureWrenches:
+    theta, u = prediction.theta, model.tied.n
+    owners = structures(model, theta)
+    member = owners.member[:, [index_of(x, owners.names, "ligament") for x in names]].T
+    used, row = np.unique(trials, return_inverse=True)
+    nodes, poses = model.paths.trial_node[used], prediction.poses[used]
+    amplitudes = model.amplitudes(theta)
+    settings = model.extension.changes(model.setting(theta, is_changed=False), amplitudes)
+    setting = settings[-1]
+    at = setting.flexion[nodes], poses, setting.stiffness, setting.reference_strain
+    found = line_wrenches(setting.measured_lines, *at)
+    m = setting.stiffness.size
+    by_line = lines_by_units(setting.owned(len(model.knee.ligaments)), setting.share, model.tied)
+    by_twist = _summed(member, found.by_twist[row])
+    by_theta = np.zeros(0) if prediction.pose_jacobian is None else prediction.pose_jacobian[used]
+    moved = twists_by_pose(poses) @ np.nan_to_num(by_theta)
+    jacobian = by_twist @ moved[row]
+    for slopes, units in ((found.by_stiffness, by_line[:m]), (found.by_strain, by_line[m:])):
+        own = slopes[row] * member[:, :, None]
+        jacobian[:, :, : 2 * u] += np.swapaxes(own, 1, 2) @ units
+    if amplitudes.size:
+        changes = model.extension.line_changes(settings, amplitudes, poses, nodes, _wrenches)
+        jacobian[:, :, 2 * u :] += _summed(member, changes[row])
+    values = _summed(member, found.values[row])
+    is_lost = ~prediction.is_converged[trials]
+    for x in (values, jacobian, by_twist):
+        x[is_lost] = np.nan
+    return StructureWrenches(values=values, jacobian=jacobian, by_twist=by_twist)
+
+
+def _summed(member: Array, of_lines: Array) -> Array:
+    """Sums over the lines of each row's structure, shape ``(r, ...)`` of ``(r, m, ...)``."""
+    return np.asarray(np.einsum("rm,rm...->r...", member, of_lines))
+
+
+def _wrenches(lines: LineLigaments, *at: Array) -> Array:
+    """The wrench of each line, shape ``(n, m, 6)``."""
+    return np.array(line_wrenches(lines, *at).values)
+
 
 FORCE, N_COMPONENTS = slice(0, 3), len(WRENCH)
 
@@ -93,7 +191,9 @@ class SuperpositionResiduals:
 
     def predicted(self, theta: Array) -> Array:
         """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
-        return _with_size(self._readings(theta))
+        wrenches = self._readings(theta)
+        size = np.linalg.norm(wrenches[:, FORCE], axis=1, keepdims=True)
+        return np.concatenate([wrenches, size], axis=1)
 
     @property
     def sd(self) -> Array:
@@ -202,11 +302,6 @@ def _offset_slopes(model: LaxityModel, trials: tuple[int, ...]) -> Array:
     return slopes
 
 
-def _with_size(wrenches: Array) -> Array:
-    size = np.linalg.norm(wrenches[:, FORCE], axis=1, keepdims=True)
-    return np.concatenate([wrenches, size], axis=1)
-
-
 def _directions(wrenches: Array) -> Array:
     """Unit vectors along forces, zero where there is none, shape ``(r, 3)``."""
     forces = wrenches[:, FORCE]
@@ -255,13 +350,7 @@ def error_covariance(model: LaxityModel, made: Superposition, theta: Array) -> A
     np.fill_diagonal(common, 1.0)
     noise = sd[:, None] * shares[np.ix_(row, row)] * common * sd
     pushed = np.einsum("ki,kij->kj", along, moved[row])
-    one_pose = _same_run(made)[np.ix_(row, row)]
-    covariance = noise + np.where(one_pose, pushed @ pushed.T, 0.0)
-    return np.asarray(covariance)
-
-
-def _same_run(made: Superposition) -> BoolArray:
-    """Which rows replay a path from one state, and so with one error of the pose, ``(n, n)``."""
+    # Rows that replay a path from one state have one error of the pose.
     runs = list(zip(made.trials, made.before, strict=True))
-    number = np.array([runs.index(x) for x in runs])
-    return np.asarray(number[:, None] == number)
+    run = np.array([runs.index(runs[i]) for i in row])
+    return np.asarray(noise + np.where(run[:, None] == run, pushed @ pushed.T, 0.0))

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from html import escape
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from typing_extensions import override
 
@@ -55,11 +55,24 @@ def in_words(seconds: float | None) -> str:
     return f"about {seconds / 3600.0:.1f} h left"
 
 
+class Advance:
+    """A receiver of progress; this one tells nobody."""
+
+    def __call__(self, count: int, /) -> None:
+        """Count more items as done."""
+
+    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
+        """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
+
+    def say(self, sentence: str, /) -> None:
+        """Say a sentence beside the bar."""
+
+
 # The first line comes after so long, the next ever more rarely.
 FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
 
 
-class ProgressLines:
+class ProgressLines(Advance):
     """Says on lines of standard error how far long work is."""
 
     def __init__(self, description: str, total: int | None, before: int) -> None:
@@ -70,8 +83,8 @@ class ProgressLines:
         self._next_s = FIRST_LINE_S
         self._lock = threading.Lock()
 
+    @override
     def __call__(self, count: int, /) -> None:
-        """Count more items as done."""
         with self._lock:
             self._done += count
             elapsed = time.monotonic() - self._began
@@ -82,16 +95,16 @@ class ProgressLines:
             left = time_left(elapsed, share, self._before)
             self._line(elapsed, f"{self._done} of {self._total}", left)
 
+    @override
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
-        """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
         with self._lock:
             elapsed = time.monotonic() - self._began
             left = time_left(elapsed, share, self._before) if left_s is None else left_s
             state = f"{100 * share:.0f} % done"
             self._line(elapsed, f"{note}, {state}" if note else state, left)
 
+    @override
     def say(self, sentence: str, /) -> None:
-        """Say a sentence on a line of its own."""
         sys.stderr.write(f"identknee: {sentence}\n")
         sys.stderr.flush()
 
@@ -109,19 +122,6 @@ DELAY_S = 2.0
 LONG_S = 300.0
 _one_bar = threading.Lock()
 _plans: list["_Plan"] = []
-
-
-class Advance(Protocol):
-    """A receiver of progress."""
-
-    def __call__(self, count: int, /) -> None:
-        """Count more items as done."""
-
-    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
-        """A share of all is done; `note` says more, `left_s` the time left where known [s]."""
-
-    def say(self, sentence: str, /) -> None:
-        """Say a sentence beside the bar."""
 
 
 def progress(
@@ -226,7 +226,7 @@ def _bar(
 ) -> Iterator[Advance]:
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or not _one_bar.acquire(blocking=False):
-        yield _Silent()
+        yield Advance()
         return
     if not (in_cell := is_notebook()) and not sys.stderr.isatty():
         try:
@@ -249,18 +249,7 @@ def _bar(
         _one_bar.release()
 
 
-class _Silent:
-    def __call__(self, _count: int, /) -> None:
-        return
-
-    def to(self, _share: float, _note: str = "", _left_s: float | None = None) -> None:
-        return
-
-    def say(self, _sentence: str, /) -> None:
-        return
-
-
-class _DelayedBar:
+class _DelayedBar(Advance):
     """Counts from the start, drawn once it is shown."""
 
     def __init__(
@@ -303,6 +292,7 @@ class _DelayedBar:
             bar.start()
             self._say_all()
 
+    @override
     def __call__(self, count: int, /) -> None:
         with self._lock:
             self._done += count
@@ -312,6 +302,7 @@ class _DelayedBar:
             )
             self._update()
 
+    @override
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         with self._lock:
             if left_s is None:
@@ -319,6 +310,7 @@ class _DelayedBar:
             self._share, self._note, self._left = share, note, _TimeLeftColumn(left_s)
             self._update()
 
+    @override
     def say(self, sentence: str, /) -> None:
         with self._lock:
             self._unsaid.append(sentence)
@@ -428,7 +420,7 @@ class _Plan:
         """The progress of one map, whose first items are done already."""
         costs = self._costs.get(description)
         if not costs:
-            return _Silent()
+            return Advance()
         first = self._done[description]
         if known:
             costs[first:] = known
@@ -455,7 +447,7 @@ class _Plan:
         self._advance.to(share, description, left)
 
 
-class _Part(_Silent):
+class _Part(Advance):
     def __init__(self, plan: _Plan, description: str) -> None:
         self._plan = plan
         self._description = description

@@ -417,9 +417,12 @@ def _looked_at(n: int) -> IntArray:
 
 def gap_between(one: Surface, other: Surface) -> float:
     """Smallest distance of two surfaces [mm], 0 where they touch or cross."""
+    # Loaded late, as it takes longer than a simulation.
     import fcl
 
-    bodies = [fcl.CollisionObject(_hierarchy(x)) for x in (one, other)]
+    from identknee.mechanics.mesh_contact import collision_hierarchy
+
+    bodies = [fcl.CollisionObject(collision_hierarchy(x.vertices, x.faces)) for x in (one, other)]
     if fcl.collide(*bodies, fcl.CollisionRequest(), fcl.CollisionResult()) > 0:
         return 0.0
     return max(float(fcl.distance(*bodies, fcl.DistanceRequest(), fcl.DistanceResult())), 0.0)
@@ -429,13 +432,3 @@ def overlap_of(surface: Surface, other: Surface) -> float:
     """How deep the vertices of `surface` lie within `other` at most [mm], 0 if none does."""
     distance = mesh_distance(other.vertices, other.faces)(surface.vertices)
     return max(float(-distance.min()), 0.0)
-
-
-def _hierarchy(surface: Surface) -> Any:
-    import fcl
-
-    model = fcl.BVHModel()
-    model.beginModel(len(surface.faces), len(surface.vertices))
-    model.addSubModel(surface.vertices, surface.faces)
-    model.endModel()
-    return model

@@ -28,13 +28,15 @@ from identknee.identify.profile.result import chi2_threshold, f_threshold
 from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import FLEXION, LOADS, Protocol, unique_names, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, Laxity, TrialsLike, read_trials, write_laxity
-from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
-from identknee.model.candidate_steps import (
+from identknee.model.candidate_laxity import (
     CONTACT_SD,
     TENSION_SD,
+    CandidateLaxity,
     candidate_forces,
     current_state,
     laxity_after_cuts,
+    offered_laxity,
+    typical_errors,
     with_state,
 )
 from identknee.model.laxity_model import LaxityModel

@@ -399,7 +399,7 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     NotComputable
         If none of them found a prediction; it says which trials are to blame.
     """
-    check_start(setup)
+    check_within_bounds(setup.start, setup.problem.parameters)
     budget = BRIEF if setup.problem.parameters.nuisance_names else None
     points = None
     if setup.model.poses is not None:
@@ -419,17 +419,6 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     if not np.isfinite(setup.problem.residuals(fits[0].theta)).all():
         raise no_prediction(setup)
     return fits
-
-
-def check_start(setup: Identification) -> None:
-    """Refuse a start outside the bounds.
-
-    Raises
-    ------
-    ValueError
-        Naming the first parameter that is outside.
-    """
-    check_within_bounds(setup.start, setup.problem.parameters)
 
 
 def no_prediction(setup: Identification) -> NotComputable:

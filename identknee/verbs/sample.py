@@ -51,6 +51,7 @@ from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 N_PREDICTIONS = 400
+NOISE_AS_KNOWN = "The posterior treats this noise as known, which makes it slightly too narrow."
 CHAIN = ("chain", "draw")
 
 
@@ -586,10 +587,17 @@ def sample(
         cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
         nested=_nested(setup, posterior, seed) if nested and is_begun else None,
-        assumptions=(*setup.assumptions, *_noise_findings(setup)),
+        assumptions=(
+            *setup.assumptions,
+            *(() if setup.degrees_of_freedom is None else (NOISE_AS_KNOWN,)),
+        ),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
-        **(_at_best_fit(setup, posterior) if is_begun else _without_a_draw(setup)),
+        **(
+            _at_best_fit(setup, posterior)
+            if is_begun
+            else {"findings": (no_prediction_finding(setup),)}
+        ),
     )
 
 
@@ -647,16 +655,6 @@ def _fitted_optima(run: Run, setup: Identification, n: int, seed: int) -> Array:
     fits = best_fits(setup, seed=seed, executor=run.executor)
     whole = [x for x in fits if np.isfinite(setup.problem.residuals(x.theta)).all()]
     return np.array([x.theta for x in whole[:n]])
-
-
-def _noise_findings(setup: Identification) -> tuple[str, ...]:
-    if setup.degrees_of_freedom is None:
-        return ()
-    return ("The posterior treats this noise as known, which makes it slightly too narrow.",)
-
-
-def _without_a_draw(setup: Identification) -> dict[str, Any]:
-    return {"findings": (no_prediction_finding(setup),)}
 
 
 def _at_best_fit(setup: Identification, posterior: Posterior) -> dict[str, Any]:

@@ -21,8 +21,7 @@ from identknee.subject.check import GeometryFinding, check_geometry
 from identknee.subject.examples import NAMED_SUBJECTS, opensim_file
 from identknee.subject.folder import example, write_subject
 from identknee.subject.knee import Knee, Side
-from identknee.subject.opensim import NotTaken, imported_knee
-from identknee.subject.opensim_left_out import left_out_of
+from identknee.subject.opensim import NotTaken, imported_knee, left_out_of
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import argument, documented, option, trials_option

@@ -175,7 +175,9 @@ def sweep(
             executor=run.executor,
             store=run.store,
         )
-        lowest = _lowest_known(run, setup, seed)
+        # Where searches begin at measured poses, other verbs may know a lower fit.
+        is_posed = setup.everywhere is not setup.problem
+        lowest = best_fits(setup, seed=seed, executor=run.executor)[0] if is_posed else None
         is_lower = lowest is not None and lowest.objective < searches.lowest_objective - 0.5 * SAME
         survey = surveyed(
             setup.everywhere,
@@ -196,13 +198,6 @@ def sweep(
         evidence=() if survey.target is None else evidence_terms(setup.problem, survey.target),
         findings=_findings(setup, survey),
     )
-
-
-def _lowest_known(run: Run, setup: Identification, seed: int) -> Fit | None:
-    """The best fit of the other verbs, where searches begin at measured poses; None elsewhere."""
-    if setup.everywhere is setup.problem:
-        return None
-    return best_fits(setup, seed=seed, executor=run.executor)[0]
 
 
 def _numbers_lost(setup: Identification, searches: SweepSearches) -> IntArray | None:

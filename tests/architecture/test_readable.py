@@ -7,8 +7,7 @@ import pytest
 import typer
 from sentence_lengths import long_sentences
 
-from identknee.cli.app import app
-from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.cli.app import WaitingCommand, app, command_of
 from identknee.report.presenter import statements_of
 from identknee.verbs.files import load
 

@@ -95,7 +95,7 @@ def _ratio(run: Callable[[], Any]) -> float:
     @contextlib.contextmanager
     def bar(_: str, total: int | None, *__: Any, **___: Any) -> Iterator[Any]:
         if drawn:
-            yield progress._Silent()
+            yield progress.Advance()
             return
         drawn.add("one bar at a time")
         bars.append(_Bar(total))

@@ -13,8 +13,7 @@ import pytest
 import typer
 from golden_texts import Golden
 
-from identknee.cli.app import app
-from identknee.cli.verb_command import WaitingCommand, command_of
+from identknee.cli.app import WaitingCommand, app, command_of
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.report.printer import brief_lines, terminal_lines

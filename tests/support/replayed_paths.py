@@ -6,7 +6,7 @@ import numpy as np
 
 from identknee.laxity.superposition import WRENCH, Superposition
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.structure_wrenches import structure_wrenches
+from identknee.model.superposition_residuals import structure_wrenches
 from identknee.runs.arrays import Array
 
 SD_N, SD_NM = 5.0, 0.2

@@ -12,7 +12,7 @@ import identknee as ik
 from identknee.identify.design_criteria import Step
 from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.protocol import concatenate
-from identknee.model.candidate_steps import CONTACT_SD, TENSION_SD
+from identknee.model.candidate_laxity import CONTACT_SD, TENSION_SD
 from identknee.model.contact_loads import contact_values
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_values

@@ -13,10 +13,10 @@ from identknee.model.effects.loads import (
     compression,
     moment_gain,
     moment_offset,
+    muscle_tension,
     parasitic_shear,
     shank_gravity,
 )
-from identknee.model.effects.muscles import muscle_tension
 from identknee.model.effects.readings import (
     Remounting,
     creep,

@@ -12,7 +12,7 @@ import pytest
 from cli_runs import run
 from typing_extensions import override
 
-from identknee.cli import verb_command
+from identknee.cli import app
 from identknee.runs.declare import declared
 from identknee.runs.findings import KINDS, Finding, Severity
 from identknee.verbs.answer import Answer
@@ -52,7 +52,7 @@ def ended(
         return Stub(findings=found)
 
     known = [replace(x, has_pictures=False, has_page=False) for x in verbs()]
-    monkeypatch.setattr(verb_command, "verbs", lambda: known)
+    monkeypatch.setattr(app, "verbs", lambda: known)
     monkeypatch.setattr(Verb, "call", property(lambda _: found_so))
     return run(*verb.name.split(), *shlex.split(verb.example), *more)
 

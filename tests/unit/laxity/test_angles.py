@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from identknee.checks.left_out_trials import trials_asked
-from identknee.laxity.angles import (
+from identknee.laxity.table import COORDINATES, Laxity, read_laxity
+from identknee.laxity.table_file import (
     coordinate_turns,
     flexion_turns,
     is_from_straight,
     is_negative,
 )
-from identknee.laxity.table import COORDINATES, Laxity, read_laxity
 from identknee.runs.errors import InputError
 
 EXACT = 1e-9  # deg and mm, of numbers written with ten digits

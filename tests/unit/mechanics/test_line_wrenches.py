@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.mechanics.line_wrenches import line_wrenches, twists_by_pose
+from identknee.mechanics.ligament_tensions import ligament_tensions, line_wrenches, twists_by_pose
 from identknee.mechanics.pose import angles_of, place, rotation_matrix
 from identknee.runs.arrays import Array
 

@@ -7,10 +7,10 @@ import pytest
 
 import identknee as ik
 from identknee.laxity.protocol import concatenate
-from identknee.model.candidate_laxity import CandidateLaxity
-from identknee.model.candidate_steps import (
+from identknee.model.candidate_laxity import (
     CONTACT_SD,
     TENSION_SD,
+    CandidateLaxity,
     candidate_forces,
     current_state,
     laxity_after_cuts,

@@ -17,8 +17,11 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.superposition import Superposition
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.model.structure_wrenches import structure_wrenches
-from identknee.model.superposition_residuals import SuperpositionResiduals, weighed
+from identknee.model.superposition_residuals import (
+    SuperpositionResiduals,
+    structure_wrenches,
+    weighed,
+)
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 

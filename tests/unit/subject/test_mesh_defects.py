@@ -12,9 +12,8 @@ import pytest
 from mesh_defects import binary_stl, chosen, with_defect, write_polygons
 
 from identknee.runs.errors import InputError
-from identknee.subject.mesh_repair import NOTHING
 from identknee.subject.reference import reference_knee
-from identknee.subject.surface import Surface, read_surface, write_surface
+from identknee.subject.surface import NOTHING, Surface, read_surface, write_surface
 
 
 @pytest.fixture(scope="module")

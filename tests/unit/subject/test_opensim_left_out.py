@@ -11,8 +11,7 @@ from osim_files import LIGAMENT, write_model
 
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
-from identknee.subject.opensim import NotTaken, import_opensim, imported_knee
-from identknee.subject.opensim_left_out import left_out_of
+from identknee.subject.opensim import NotTaken, import_opensim, imported_knee, left_out_of
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, joined, read_surface, write_surface
 

@@ -15,9 +15,9 @@ import identknee as ik
 from identknee.laxity.table import COORDINATES, read_trials
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
-from identknee.verbs.arguments import read_arguments
 from identknee.verbs.options import parameters_in_full
 from identknee.verbs.values import noise_of, noise_words
+from identknee.verbs.verb import read_arguments
 
 NOISE = (0.5, 0.25)
 NAME = "ACL.stiffness_kN"

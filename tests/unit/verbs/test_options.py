@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import identknee as ik
-from identknee.cli.verb_command import command_of
+from identknee.cli.app import command_of
 from identknee.report.presenter import PRESENTERS
 from identknee.verbs.options import as_typed, option_of, parameters_in_full
 from identknee.verbs.printer import Printer, set_printer
@@ -62,7 +62,7 @@ def test_without_a_printer_an_answer_is_its_class_alone(monkeypatch: pytest.Monk
         return printer
 
     try:
-        monkeypatch.setattr("identknee.verbs.printer._given", [])
+        monkeypatch.setattr("identknee.verbs.answer._given", [])
         assert str(answer) == repr(answer) == "SubjectFacts"
         with pytest.raises(ValueError, match="here draws"):
             answer.plot()
