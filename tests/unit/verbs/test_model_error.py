@@ -1,26 +1,14 @@
 """An error of the model that is averaged over: who takes it, what it widens, what is said of it."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
-from slow_cases import some_slow
+from quick_calls import ALL_BUT_FOUR, quick, quick_verbs
 
 import identknee as ik
 from identknee.laxity.table import COORDINATES
-from identknee.verbs.answer import Answer
 from identknee.verbs.values import SMOOTH
 
 SD = 0.3
-NAME = "ACL.stiffness_kN"
-CALLS: dict[str, tuple[Callable[..., Answer], dict[str, Any]]] = {
-    "information": (ik.information, {}),
-    "profile": (ik.profile, {"parameters": [NAME]}),
-    "equivalents": (ik.equivalents, {"n_sets": 4, "forces": "none"}),
-    "sample": (ik.sample, {"moves": "difference", "budget": 700}),
-}
-HELD = ["PCL.stiffness_kN", "LCL.stiffness_kN", "MCL.stiffness_kN", "LCL.reference_strain_pct"]
 
 
 @pytest.fixture(scope="module")
@@ -33,11 +21,15 @@ def bent() -> ik.Laxity:
     return ik.Laxity(protocol=made.protocol, coordinates=coordinates, sd=np.full(shape, SD))
 
 
-@pytest.mark.parametrize("verb", some_slow(CALLS, ("equivalents", "sample")))
+@pytest.mark.parametrize(
+    "verb",
+    quick_verbs(
+        ("information", "profile", "equivalents", "sample"), slow=("equivalents", "sample")
+    ),
+)
 def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
-    function, options = CALLS[verb]
     plain, found = (
-        function("reference", bent, fixed=HELD, discrepancy=x, **options)
+        quick(verb, "reference", bent, fixed=ALL_BUT_FOUR, discrepancy=x)
         for x in ("none", "smooth")
     )
     assert plain.question is not None
@@ -57,7 +49,8 @@ def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
 
 def test_the_data_determine_less(bent: ik.Laxity) -> None:
     plain, found = (
-        ik.information("reference", bent, fixed=HELD, discrepancy=x) for x in ("none", "0.5mm,1deg")
+        ik.information("reference", bent, fixed=ALL_BUT_FOUR, discrepancy=x)
+        for x in ("none", "0.5mm,1deg")
     )
     assert np.all(found.fisher.eigenvalues < plain.fisher.eigenvalues)
 
@@ -65,10 +58,10 @@ def test_the_data_determine_less(bent: ik.Laxity) -> None:
 def test_it_is_refused_without_a_noise(bent: ik.Laxity) -> None:
     unknown = ik.Laxity(protocol=bent.protocol, coordinates=bent.coordinates)
     with pytest.raises(ValueError, match="stated noise"):
-        ik.information("reference", unknown, fixed=HELD, discrepancy="smooth")
+        ik.information("reference", unknown, fixed=ALL_BUT_FOUR, discrepancy="smooth")
 
 
 @pytest.mark.parametrize("given", ["rough", "-1mm,1deg", "1mm"])
 def test_what_is_no_size_is_refused(given: str, bent: ik.Laxity) -> None:
     with pytest.raises(ValueError, match="scales of its prior"):
-        ik.information("reference", bent, fixed=HELD, discrepancy=given)
+        ik.information("reference", bent, fixed=ALL_BUT_FOUR, discrepancy=given)

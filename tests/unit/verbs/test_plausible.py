@@ -1,32 +1,21 @@
 """Limits of plausibility in every verb that fits: they count alike, and are asked for."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from slow_cases import some_slow
+from quick_calls import ALL_BUT_FOUR, quick, quick_verbs
 
 import identknee as ik
 from identknee.calibrate.problem import PLAUSIBILITY_TERM
 from identknee.identify.profile.result import ProfileVerdict
 from identknee.subject.plausibility import Limit
-from identknee.verbs.answer import Answer
 from identknee.verbs.fitted_knee import fitted_knee
 
 LIMIT = Limit(form="strength", quantity="ACL.tension_N", size=200.0, spread=20.0)
-HELD = ["PCL.stiffness_kN", "LCL.stiffness_kN", "MCL.stiffness_kN", "LCL.reference_strain_pct"]
 NAME = "ACL.stiffness_kN"
-CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
-    "fit": (ik.fit, {"more_starts": 0, "weighting": "noise"}),
-    "profile": (ik.profile, {"parameters": [NAME]}),
-    "information": (ik.information, {}),
-    "sweep": (ik.sweep, {"n_starts": 4, "paths": 0}),
-    "equivalents": (ik.equivalents, {"n_sets": 4, "forces": "none"}),
-    "design": (ik.design, {"n_trials": 1, "candidates": "drawer", "criterion": "c"}),
-    "sample": (ik.sample, {"moves": "difference", "budget": 700}),
-}
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +29,10 @@ def laxity() -> ik.Laxity:
     )
 
 
-@pytest.mark.parametrize("verb", some_slow(CALLS, ("design", "sample", "equivalents")))
+@pytest.mark.parametrize("verb", quick_verbs(slow=("design", "sample", "equivalents")))
 def test_limits_count_in_the_deviance_of_every_verb(verb: str, laxity: ik.Laxity) -> None:
-    function, options = CALLS[verb]
-    plain = function("reference", laxity, fixed=HELD, **options)
-    found = function("reference", laxity, fixed=HELD, plausible=[LIMIT], **options)
+    plain = quick(verb, "reference", laxity, fixed=ALL_BUT_FOUR)
+    found = quick(verb, "reference", laxity, fixed=ALL_BUT_FOUR, plausible=[LIMIT])
     assert plain.question is not None
     assert found.question is not None
     assert plain.question.plausibility == ()
@@ -61,7 +49,9 @@ def test_limits_count_in_the_deviance_of_every_verb(verb: str, laxity: ik.Laxity
 
 
 def test_a_fit_says_what_limits_cost_and_a_file_keeps_it(laxity: ik.Laxity, tmp_path: Path) -> None:
-    found = ik.fit("reference", laxity, fixed=HELD, plausible=[LIMIT], more_starts=2, out=tmp_path)
+    found = ik.fit(
+        "reference", laxity, fixed=ALL_BUT_FOUR, plausible=[LIMIT], more_starts=2, out=tmp_path
+    )
     price = found.plausibility
     assert price is not None
     assert price.price > 1.0
@@ -82,7 +72,7 @@ def test_noise_that_is_not_stated_is_asked_for(laxity: ik.Laxity) -> None:
 def test_the_knee_of_a_result_is_known_again_and_its_limits_are_an_input(
     laxity: ik.Laxity,
 ) -> None:
-    options: Mapping[str, Any] = {"fixed": HELD, "more_starts": 0}
+    options: Mapping[str, Any] = {"fixed": ALL_BUT_FOUR, "more_starts": 0}
     plain = ik.fit("reference", laxity, **options)
     found = ik.fit("reference", laxity, plausible=[LIMIT], weighting="noise", **options)
     assert plain.record is not None
@@ -98,7 +88,7 @@ def test_an_end_that_limits_make_is_not_of_the_data(laxity: ik.Laxity) -> None:
     options: Mapping[str, Any] = {
         "parameters": ["ACL.reference_strain_pct"],
         "noise": "8mm,8deg",
-        "fixed": [*HELD, NAME, "PCL.reference_strain_pct", "MCL.reference_strain_pct"],
+        "fixed": [*ALL_BUT_FOUR, NAME, "PCL.reference_strain_pct", "MCL.reference_strain_pct"],
     }
     plain = ik.profile("reference", laxity, **options).profiles[0]
     limit = Limit(form="strength", quantity="ACL.tension_N", size=400.0, spread=10.0)

@@ -1,6 +1,5 @@
 """What verbs were asked, as their answers say it, and priors of ligament parameters in all."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,28 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import short_protocol
-from slow_cases import some_slow
+from quick_calls import ALL_BUT_ACL, quick, quick_verbs
 
 import identknee as ik
 from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM
 from identknee.subject.knee import StatedPrior
-from identknee.verbs.answer import Answer
 
 pytestmark = pytest.mark.usefixtures("no_conventions")
 
-# Two parameters stay free, so that searches take seconds.
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
 NOISE = "0.5mm,0.5deg"
 NAMES = ("ACL.stiffness_kN", "ACL.reference_strain_pct")
-CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
-    "fit": (ik.fit, {}),
-    "profile": (ik.profile, {"parameters": NAMES[:1]}),
-    "information": (ik.information, {}),
-    "sweep": (ik.sweep, {"n_starts": 4, "paths": 0}),
-    "equivalents": (ik.equivalents, {"n_sets": 4, "forces": "none"}),
-    "design": (ik.design, {"n_trials": 1, "candidates": "drawer", "criterion": "c"}),
-    "sample": (ik.sample, {"moves": "difference", "budget": 700}),
-}
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +52,12 @@ def _best(answer: Any) -> np.ndarray:
     return np.array([answer.optimum_by_name[x] for x in NAMES])
 
 
-@pytest.mark.parametrize("verb", some_slow(CALLS, ("sample", "design")))
+@pytest.mark.parametrize("verb", quick_verbs(slow=("sample", "design")))
 def test_priors_count_where_they_are_asked_for(
     verb: str, laxity: ik.Laxity, certain: ik.Knee
 ) -> None:
-    function, options = CALLS[verb]
     answers = {
-        asked: function(certain, laxity, noise=NOISE, fixed=HELD, priors=asked, **options)
+        asked: quick(verb, certain, laxity, noise=NOISE, fixed=ALL_BUT_ACL, priors=asked)
         for asked in (True, False)
     }
     for asked, answer in answers.items():
@@ -93,12 +79,12 @@ def test_priors_count_where_they_are_asked_for(
 def test_a_question_says_what_was_asked_and_in_what_it_differs(laxity: ik.Laxity) -> None:
     knee = ik.reference_knee()
     first, last = laxity.protocol.trials[0], laxity.protocol.trials[-1]
-    quick: Any = {"fixed": HELD, "more_starts": 0}
+    quick: Any = {"fixed": ALL_BUT_ACL, "more_starts": 0}
     plain = ik.fit(knee, laxity, noise=NOISE, **quick).question
     assert plain is not None
     assert plain.trials == laxity.protocol.trials
     assert (plain.weighting, plain.noise_mm, plain.noise_deg) == ("noise", 0.5, 0.5)
-    assert plain.fixed == tuple(HELD)
+    assert plain.fixed == tuple(ALL_BUT_ACL)
     other = ik.fit(
         knee, laxity, noise="1mm,0.5deg", leave_out=[last], bounds=[f"{NAMES[0]}=1:30"], **quick
     ).question
@@ -124,7 +110,7 @@ def test_what_the_table_contradicts_is_left_out_of_every_verb_alike() -> None:
 
 
 def test_the_question_is_in_the_files(laxity: ik.Laxity, tmp_path: Path) -> None:
-    found = ik.fit("reference", laxity, noise=NOISE, fixed=HELD, more_starts=0, out=tmp_path)
+    found = ik.fit("reference", laxity, noise=NOISE, fixed=ALL_BUT_ACL, more_starts=0, out=tmp_path)
     loaded = ik.load(tmp_path)
     assert found.question is not None
     assert loaded.question is not None

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cli_runs import run, said, short_protocol
+from quick_calls import ALL_BUT_ACL
 from slow_cases import some_slow
 
 import identknee as ik
@@ -16,8 +17,6 @@ from identknee.runs.schema import summary_of
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import load
 
-# Two parameters stay free, so that searches take seconds.
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
 CALLS: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
     "fit": (ik.fit, {"start": "IG2", "method": "complex", "budget": 40, "seed": 2}),
     "profile": (ik.profile, {"level": 0.9, "budget": 200}),
@@ -45,9 +44,9 @@ def laxity(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
 def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: Path) -> None:
     function, options = CALLS[verb]
     data = ik.write_laxity(laxity, tmp_path / "data.csv")
-    made = function(ik.reference_knee(), ik.read_laxity(data), fixed=HELD, **options)
+    made = function(ik.reference_knee(), ik.read_laxity(data), fixed=ALL_BUT_ACL, **options)
     words = [y for name, x in options.items() for y in (f"--{name.replace('_', '-')}", x)]
-    held = [y for x in HELD for y in ("--fix", x)]
+    held = [y for x in ALL_BUT_ACL for y in ("--fix", x)]
     result = run(verb, "reference", data, *held, *words, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert said(load(tmp_path / "out")) == said(made)
