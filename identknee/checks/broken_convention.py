@@ -16,11 +16,10 @@ from identknee.checks.table_checks import (
     MOST_DEG,
     MOST_MM,
     load_sign_findings,
-    root_mean_square,
 )
 from identknee.checks.usable_trials import STRETCHES, TrialSearch, held_everywhere
 from identknee.laxity.experiments import cuts_of
-from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, root_mean
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
@@ -220,7 +219,7 @@ class _Table:
         share = np.sqrt(self.degrees(used) / max(int(self.measured[used].sum()), 1))
         sd = np.full(self.measured.shape, np.nan)
         for columns in UNITS.values():
-            size = root_mean_square(left[used][:, columns])
+            size = root_mean(left[used][:, columns] ** 2)
             sd[:, columns] = max(size / share, LEAST_NOISE) if np.isfinite(size) else 1.0
         sd = np.where(self.measured, sd, np.nan)
         return _Noise(sd=sd, degrees=float(self.degrees(used)), is_known=False)
@@ -248,7 +247,7 @@ class _Table:
     def errors(self, theta: Array) -> tuple[float, float]:
         """Root-mean-square of what is left [mm, deg]; NaN where nothing was measured."""
         left, _ = self.left(theta)
-        return root_mean_square(left[:, TRANSLATIONS]), root_mean_square(left[:, ROTATIONS])
+        return root_mean(left[:, TRANSLATIONS] ** 2), root_mean(left[:, ROTATIONS] ** 2)
 
     def problem(self, noise: _Noise) -> WhitenedResiduals:
         """The residuals in units of the noise."""

@@ -16,7 +16,7 @@ from identknee.laxity.protocol import (
     dominant_loads,
     opposite_pairs,
 )
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
+from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, root_mean
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel
@@ -394,7 +394,7 @@ def row_findings(
     falls = []
     for x, unit in ((TRANSLATIONS, "mm"), (ROTATIONS, "deg")):
         if np.isfinite(after[:, x]).any():
-            first, then = root_mean_square(before[:, x]), root_mean_square(after[:, x])
+            first, then = root_mean(before[:, x] ** 2), root_mean(after[:, x] ** 2)
             values |= {f"rmse_{unit}": first, f"rmse_without_{unit}": then}
             falls.append(f"from {first:.3g} to {then:.3g} {unit}")
     moved = np.abs(end - theta) / typical_steps(model.parameters)
@@ -539,9 +539,3 @@ def _scales(compared: LaxityResiduals, theta: Array) -> Array:
         own = compared.units == kind
         scales[own] = max(NORMAL * float(np.median(left[own])), AT_END)
     return scales
-
-
-def root_mean_square(values: Array) -> float:
-    """Of the values that are not NaN; NaN where there is none."""
-    known = values[~np.isnan(values)]
-    return float(np.sqrt((known**2).mean())) if known.size else float("nan")

@@ -21,7 +21,7 @@ from identknee.laxity.protocol import (
     nominal_flexion,
     nominal_loads,
 )
-from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity
+from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity, root_mean
 from identknee.model.discrepancy import SmoothKernel
 from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import Parameters
@@ -145,9 +145,9 @@ class Observations:
         """Root-mean-square of errors in mm and deg, shape ``(..., m)``; NaN is left out."""
         squares = errors**2
         return Rmse(
-            mm=_root_mean(squares[..., ~self.is_angle]),
-            deg=_root_mean(squares[..., self.is_angle]),
-            noise=_root_mean(squares / self.sd**2),
+            mm=root_mean(squares[..., ~self.is_angle]),
+            deg=root_mean(squares[..., self.is_angle]),
+            noise=root_mean(squares / self.sd**2),
         )
 
 
@@ -161,11 +161,6 @@ def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observation
         noise=noise,
         n_trials=laxity.n,
     )
-
-
-def _root_mean(squares: Array) -> float:
-    known = squares[~np.isnan(squares)]
-    return float(np.sqrt(known.mean())) if known.size else float("nan")
 
 
 # Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.

@@ -735,11 +735,11 @@ def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
     flexion = np.unique(measured.protocol.flexion_deg)
     rows = [measured.protocol.flexion_deg == angle for angle in flexion]
     return LaxityError(
-        mm=_root_mean(squares[:, TRANSLATIONS]),
-        deg=_root_mean(squares[:, ROTATIONS]),
-        by_coordinate=np.array([_root_mean(column) for column in squares.T]),
+        mm=root_mean(squares[:, TRANSLATIONS]),
+        deg=root_mean(squares[:, ROTATIONS]),
+        by_coordinate=np.array([root_mean(column) for column in squares.T]),
         flexion_deg=flexion,
-        by_flexion=np.array([[_root_mean(x) for x in squares[row].T] for row in rows]).reshape(
+        by_flexion=np.array([[root_mean(x) for x in squares[row].T] for row in rows]).reshape(
             len(rows), len(COORDINATES)
         ),
         n_compared=int(compared.sum()),
@@ -747,7 +747,8 @@ def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
     )
 
 
-def _root_mean(squares: Array) -> float:
+def root_mean(squares: Array) -> float:
+    """Root of the mean of the squares that are not NaN; NaN where there is none."""
     values = squares[~np.isnan(squares)]
     return float(np.sqrt(values.mean())) if values.size else float("nan")
 

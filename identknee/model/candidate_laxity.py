@@ -8,7 +8,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from identknee.laxity.experiments import Cut, cuts_of, state_words
+from identknee.laxity.experiments import cuts_of
 from identknee.laxity.protocol import (
     FLEXION_DEG,
     LOADS,
@@ -23,6 +23,7 @@ from identknee.laxity.protocol import (
     nominal_held_loads,
     zero_of_added_trials,
 )
+from identknee.laxity.superposition import state_with
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.contact_loads import contact_jacobian, contact_values
@@ -113,12 +114,10 @@ class CandidateLaxity:
         once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
         some = replace(self, protocol=self.protocol.select(once))
         found = self.model.with_protocol(some.trials).predict(self.free.expand(theta))
-        if found.jacobian is None:  # pragma: no cover - predict was asked for it
-            raise AssertionError
         # A trial that presses near a rim is not worth making: there are others to choose from.
         lost = (found.rim_share > 0.0)[:, None, None]
         coordinates = np.where(lost, np.nan, found.coordinates[:, :, None])
-        slopes = np.where(lost, np.nan, self.free.restrict(found.jacobian))
+        slopes = np.where(lost, np.nan, self.free.restrict(found.slopes))
         return some.rows(coordinates)[back, :, 0], some.rows(slopes)[back]
 
     @property
@@ -224,18 +223,6 @@ def with_state(protocol: Protocol, state: str) -> Protocol:
     return replace(protocol, state=(state,) * protocol.n)
 
 
-def state_after(state: str, ligament: str) -> str:
-    """The state once one more ligament or group is cut.
-
-    Examples
-    --------
-    >>> state_after("cut: ACL", "LCL")
-    'cut: ACL, LCL'
-    """
-    made = [x for x in cuts_of(state) if x.ligament != ligament]
-    return state_words([*made, Cut(ligament=ligament, fraction=1.0)])
-
-
 def strongest_trials(protocol: Protocol, held: Sequence[float] = (0.0,) * len(LOADS)) -> Protocol:
     """Of the trials with one load beside those held, the largest each way at each flexion angle.
 
@@ -295,7 +282,7 @@ def laxity_after_cuts(offered: CandidateLaxity, state: str) -> tuple[LaxityAfter
     found = []
     for ligament in left if len(left) > 1 else ():
         names = tuple(f"{x} without {ligament}" for x in trials.trials)
-        cut = with_state(replace(trials, trials=names), state_after(state, ligament))
+        cut = with_state(replace(trials, trials=names), state_with(state, ligament))
         laxity = replace(offered, protocol=cut)
         found.append(LaxityAfterCut(ligament=ligament, trials=trials.trials, laxity=laxity))
     return tuple(found)

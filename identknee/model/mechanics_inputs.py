@@ -238,25 +238,8 @@ def with_replicas(
 
 def repeated(setting: MechanicsInputs, n: int) -> MechanicsInputs:
     """A batch of `n` replicas of the inputs."""
-
-    def again(values: Array | IntArray) -> Any:
-        return np.concatenate(n * [values])
-
-    lines = {
-        field.name: again(getattr(setting.lines, field.name)) for field in fields(LineLigaments)
-    }
-    return replace(
-        setting,
-        flexion=again(setting.flexion),
-        loads=again(setting.loads),
-        measured=None if setting.measured is None else again(setting.measured),
-        lines=LineLigaments(**lines),
-        stiffness=again(setting.stiffness),
-        reference_strain=again(setting.reference_strain),
-        owner=again(setting.owner),
-        share=again(setting.share),
-        copy=np.repeat(np.arange(n), setting.stiffness.size),
-    )
+    both = with_replicas(setting, (n - 1) * [setting], lines=True, nodes=True)
+    return replace(both, copy=np.repeat(np.arange(n), setting.stiffness.size))
 
 
 # Trials within so many degrees of flexion of each other have one pose between them.

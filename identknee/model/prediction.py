@@ -88,6 +88,13 @@ class Prediction:
             values.flags.writeable = False
 
     @property
+    def slopes(self) -> Array:
+        """Derivatives of the coordinates by theta, of a prediction that was asked for them."""
+        if self.jacobian is None:  # pragma: no cover - a mistake of the caller
+            raise AssertionError
+        return self.jacobian
+
+    @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """How each trial ended."""
         return tuple(OUTCOMES[code] for code in self.codes)

@@ -121,9 +121,7 @@ class LaxityResiduals:
             For mesh contact, which has no derivatives.
         """
         prediction = self.model.predict_once(theta)
-        jacobian = prediction.jacobian
-        if jacobian is None:  # pragma: no cover - it was asked for
-            raise AssertionError
+        jacobian = prediction.slopes
         if self.held is None:
             return self.rows(jacobian)
         lost = self.laxity.is_measured.any(axis=1) & ~prediction.is_converged
@@ -380,9 +378,7 @@ def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
     toe = toe_strain()
     if toe.name not in {x.name for x in model.effects}:
         found = model.with_effects([*model.effects, toe]).predict(np.r_[theta, 0.0])
-        if found.jacobian is None:  # pragma: no cover - it was asked for
-            raise AssertionError
-        changes.append(found.jacobian[:, :, -1:])
+        changes.append(found.slopes[:, :, -1:])
         spreads.append(np.array([TOE]))
     if has_shared_errors(model.knee.uncertainty):
         shared = shared_errors(model, theta)
@@ -427,10 +423,7 @@ def shared_errors(model: LaxityModel, theta: Array) -> Array:
         extended = model.with_effects([*others, offset])
         known = dict(zip(model.parameters.names, theta, strict=True))
         here = np.array([known.get(name, 0.0) for name in extended.parameters.names])
-        jacobian = extended.predict(here).jacobian
-        if jacobian is None:  # pragma: no cover - it was asked for
-            raise AssertionError
-        slopes = stated.trial_flexion_deg * jacobian[:, :, -1]
+        slopes = stated.trial_flexion_deg * extended.predict(here).slopes[:, :, -1]
         parts.append(np.asarray(np.eye(len(slopes))[:, None, :] * slopes[:, :, None]))
     if stated.surface_mm > 0.0:
         changes = surface_changes(model, model.predict(theta), SURFACE_LENGTH)

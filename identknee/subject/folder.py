@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, create_model, model_validator
 
 from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
 from identknee.runs.errors import InputError, ValueRefused
@@ -201,7 +201,11 @@ class PoseTable(Part):
     ]
 
 
-class UncertaintyTable(Part):
+_SIZES: dict[str, Any] = {x.name: (Number, 0.0) for x in fields(Uncertainty)}
+_Sizes: type[Part] = create_model("_Sizes", __base__=Part, **_SIZES)
+
+
+class UncertaintyTable(_Sizes):  # type: ignore[valid-type, misc]
     """``[uncertainty]``, any of it."""
 
     insertions_mm: Annotated[
@@ -212,24 +216,6 @@ class UncertaintyTable(Part):
             "ligament and bone.",
         ),
     ] = 0.0
-    insertions_normal_mm: Number = 0.0
-    registration_deg: Number = 0.0
-    registration_mm: Number = 0.0
-    load_axes_deg: Number = 0.0
-    load_gain: Number = 0.0
-    flexion_deg: Number = 0.0
-    trial_flexion_deg: Number = 0.0
-    contact_modulus: Number = 0.0
-    contact_exponent: Number = 0.0
-    surface_mm: Number = 0.0
-    zero_mm: Number = 0.0
-    zero_deg: Number = 0.0
-    reference_pose_deg: Number = 0.0
-    reference_pose_mm: Number = 0.0
-    toe_region: Number = 0.0
-    state_drift_mm: Number = 0.0
-    state_drift_deg: Number = 0.0
-    state_elongation: Number = 0.0
 
 
 class PriorTable(Part):
@@ -646,7 +632,7 @@ def _knee(
 
 def _stated(table: UncertaintyTable) -> dict[str, Any]:
     """The sizes of an uncertainty, by name."""
-    sizes = table.model_dump()
+    sizes: dict[str, Any] = table.model_dump()
     if isinstance(spreads := table.insertions_mm, SurfaceSpreads):
         sizes |= {"insertions_mm": spreads.tangential, "insertions_normal_mm": spreads.normal}
     return sizes

@@ -43,19 +43,9 @@ class ParameterError:
         return float(self.stiffness_kN.mean())
 
     @property
-    def sd_kN(self) -> float:  # noqa: N802 - the unit
-        """Sample standard deviation over the ligaments [kN]."""
-        return float(self.stiffness_kN.std(ddof=1))
-
-    @property
     def mean_pct(self) -> float:
         """Mean over the ligaments [%]."""
         return float(self.strain_pct.mean())
-
-    @property
-    def sd_pct(self) -> float:
-        """Sample standard deviation over the ligaments [%]."""
-        return float(self.strain_pct.std(ddof=1))
 
 
 def parameter_error(theta: ArrayLike, truth: ArrayLike) -> ParameterError:

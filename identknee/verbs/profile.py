@@ -31,7 +31,7 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import force_names, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.findings import Doubt, Finding, without_repeats
+from identknee.runs.findings import Doubt, without_repeats
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
@@ -232,7 +232,11 @@ def profile(
         thresholds=thresholds,
     )
     best = min(profiles, key=lambda x: x.deviance)
-    findings = _findings(setup, best, fits, threshold)
+    conditional = setup.conditional_at(best.optimum, threshold)
+    found = setup.findings_at(best.optimum, best.deviance, fits)
+    # What is improbable at 0.001 is rejected at 0.05, and said once.
+    others = [x for x in found if not (conditional and x.code == "misfit-improbable")]
+    findings = without_repeats((*conditional, *others))
     doubts = {x.kind.doubt for x in findings}
     profiles = tuple(
         replace(
@@ -305,17 +309,6 @@ def _with_priors(
         thresholds=_threshold(setup, level),
     )
     return {x.name: x for x in profiles}
-
-
-def _findings(
-    setup: Identification, best: Profile, fits: Sequence[Fit], threshold: float
-) -> tuple[Finding, ...]:
-    """What speaks against the best fit; of a rejected one that its intervals are conditional."""
-    conditional = setup.conditional_at(best.optimum, threshold)
-    found = setup.findings_at(best.optimum, best.deviance, fits)
-    # What is improbable at 0.001 is rejected at 0.05, and said once.
-    others = [x for x in found if not (conditional and x.code == "misfit-improbable")]
-    return without_repeats((*conditional, *others))
 
 
 def _parameters(setup: Identification, chosen: Sequence[str] | None) -> list[Quantity]:

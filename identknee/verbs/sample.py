@@ -209,7 +209,7 @@ def predictive(
     n_draws
         How many draws to predict at; fewer where the sample holds fewer.
     """
-    places = posterior.independent(n_draws, or_fewer=True)
+    places = posterior.independent(n_draws)
     thetas = posterior.kept[tuple(places.T)]
     thetas = thetas if free is None else free.expand(thetas)
     predictions = [model.predict(theta, derivatives=False) for theta in thetas]
@@ -566,7 +566,11 @@ def sample(
     wanted = [quantity_named(setup.model, x) for x in quantities or ()]
     run.start_clock()
     if optima is None and setup.model.poses is not None:
-        optima = _fitted_optima(run, setup, n_ensembles, seed)
+        # Hardly a draw of the priors has an equilibrium in every trial where the knee begins at
+        # measured poses.
+        ends = best_fits(setup, seed=seed, executor=run.executor)
+        whole = [x.theta for x in ends if np.isfinite(setup.problem.residuals(x.theta)).all()]
+        optima = np.array(whole[:n_ensembles])
     posterior = sampled(
         problem,
         optima=optima,
@@ -645,16 +649,6 @@ def _optima(path: Path, parameters: Parameters) -> Array:
     if not thetas:
         raise InputError(path, "", "it lists no basin", "Sweep from more starts, or leave it out.")
     return np.array(thetas)
-
-
-def _fitted_optima(run: Run, setup: Identification, n: int, seed: int) -> Array:
-    """The lowest ends of fits at which every trial has an equilibrium, shape ``(k, p)``.
-
-    Hardly a draw of the priors has one in every trial where the knee begins at measured poses.
-    """
-    fits = best_fits(setup, seed=seed, executor=run.executor)
-    whole = [x for x in fits if np.isfinite(setup.problem.residuals(x.theta)).all()]
-    return np.array([x.theta for x in whole[:n]])
 
 
 def _at_best_fit(setup: Identification, posterior: Posterior) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def intervals(
 
 def draws(found: ik.identify.Posterior) -> Row:
     """Draws as good as independent, and of the prior."""
-    places = found.independent(N_DRAWS, or_fewer=True)
+    places = found.independent(N_DRAWS)
     return {"draws": found.kept[tuple(places.T)], "prior": found.prior}
 
 

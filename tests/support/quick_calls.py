@@ -33,4 +33,4 @@ def quick_verbs(names: Collection[str] = tuple(QUICK), *, slow: Collection[str])
 def quick(verb: str, *data: Any, **asked: Any) -> Any:
     """The answer of a verb to knee and laxity, with its quick options and those asked for."""
     function, options = QUICK[verb]
-    return function(*data, **options | asked)
+    return function(*data, **{**options, **asked})

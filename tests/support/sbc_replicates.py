@@ -85,7 +85,7 @@ def ranked(problem: Problem, truth: Array, seed: int) -> dict[str, Any]:
     }
     if not found.checks:
         return row
-    places = found.independent(N_DRAWS, or_fewer=True)
+    places = found.independent(N_DRAWS)
     row["rhat"] = float(np.max(found.last_check.rhat))
     if len(places) == N_DRAWS:
         row["ranks"] = np.sum(found.kept[tuple(places.T)] < truth, axis=0)

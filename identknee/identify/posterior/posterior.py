@@ -502,8 +502,8 @@ class Posterior:
         each = [self.kept[..., i] for i in range(self.parameters.n)]
         return np.array([[quantile_error(x, p) for p in QUANTILES] for x in each])
 
-    def independent(self, n_draws: int, *, or_fewer: bool = False) -> IntArray:
-        """Indices (ensemble, walker, kept step) of nearly independent draws, ``(n_draws, 3)``.
+    def independent(self, n_draws: int) -> IntArray:
+        """Indices (ensemble, walker, kept step) of nearly independent draws, ``(n, 3)``.
 
         They are spread over all ensembles and walkers, and two of one walker lie at least two of
         the longest autocorrelation times apart.
@@ -511,14 +511,7 @@ class Posterior:
         Parameters
         ----------
         n_draws
-            How many.
-        or_fewer
-            Whether a sample too short to hold so many gives those it holds.
-
-        Raises
-        ------
-        ValueError
-            If the sample is too short and fewer will not do.
+            How many; a sample too short to hold so many gives those it holds.
         """
         n_ensembles, n_walkers, n_steps = self.kept.shape[:3]
         apart = math.ceil(min(APART * float(np.max(self.last_check.tau)), n_steps))
@@ -531,13 +524,8 @@ class Posterior:
                 for ensemble in range(n_ensembles)
             ]
         )
-        if len(places) < n_draws and or_fewer:
-            return places
         if len(places) < n_draws:
-            raise ValueError(
-                f"the sample holds {len(places)} independent draws, fewer than the {n_draws} asked "
-                "for; sample longer or ask for fewer"
-            )
+            return places
         return np.asarray(places[np.linspace(0, len(places) - 1, n_draws).round().astype(int)])
 
     @override

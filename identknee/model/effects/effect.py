@@ -240,6 +240,33 @@ class ReplicaReadingError(ReadingError):
         return self.read(coordinates, values, tests)
 
 
+@declared
+class PartOfEffect:
+    """An effect on the inputs of which some amplitudes alone vary, a cause of its own."""
+
+    whole: ReplicaEffect = entry("The effect of all amplitudes")
+    moved: IntArray = entry("Where its amplitudes stand among those")
+    parameters: Parameters = entry("Its amplitudes")
+
+    @property
+    def name(self) -> str:
+        """Name of the cause, the same for every part."""
+        return self.whole.name
+
+    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+        """The inputs with the effect."""
+        return self.whole.change(setting, self._expanded(values))
+
+    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
+        return self.whole.change_copies(setting, self._expanded(values))
+
+    def _expanded(self, values: Array) -> Array:
+        expanded = np.zeros((*values.shape[:-1], self.whole.parameters.n))
+        expanded[..., self.moved] = values
+        return expanded
+
+
 def with_remeasured_lengths(
     setting: MechanicsInputs, lines: LineLigaments, changed: BoolArray
 ) -> MechanicsInputs:

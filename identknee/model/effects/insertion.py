@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.model.effects.effect import (
-    ReplicaEffect,
+    PartOfEffect,
     ReplicaInputsChange,
     amplitudes,
     with_remeasured_lengths,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
@@ -55,32 +54,16 @@ LEAST_NAMED = 0.25
 
 
 @declared
-class InsertionShift:
+class InsertionShift(PartOfEffect):
     """A shift of one insertion beside the small shifts that all of them may have [mm]."""
 
     ligament: str = entry("Ligament whose insertion it is")
     bone: str = entry("Bone on which the insertion lies")
-    shifts: ReplicaEffect = entry("The effect of shifts of all insertions")
-    first: int = entry("Place of the first of its three shifts among those")
-    parameters: Parameters = entry("Shifts to anterior, proximal and lateral")
-
-    @property
-    def name(self) -> str:
-        """Name of the cause, the same for every insertion."""
-        return self.shifts.name
 
     @property
     def variant(self) -> str:
         """Which insertion it is."""
         return f"{self.ligament}_{self.bone}"
-
-    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect."""
-        return self.shifts.change(setting, self._whole(values))
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at shifts ``values[i]`` in replica i."""
-        return self.shifts.change_copies(setting, self._whole(values))
 
     def applied(self, knee: Knee, values: Array) -> Knee:
         """The knee whose insertion lies there."""
@@ -92,11 +75,6 @@ class InsertionShift:
             for x in knee.ligaments
         ]
         return replace(knee, ligaments=tuple(ligaments))
-
-    def _whole(self, values: Array) -> Array:
-        whole = np.zeros((*values.shape[:-1], self.shifts.parameters.n))
-        whole[..., self.first : self.first + len(WAYS)] = values
-        return whole
 
 
 def moved_insertion(knee: Knee, ligament: str, bone: str) -> InsertionShift:
@@ -112,9 +90,8 @@ def moved_insertion(knee: Knee, ligament: str, bone: str) -> InsertionShift:
     names = [f"{ligament}_{bone}_{way}_mm" for way, _ in WAYS]
     n = len(WAYS)
     made = amplitudes(shifts.name, names, n * [GROSS_SD], upper=n * [FARTHEST])
-    return InsertionShift(
-        ligament=ligament, bone=bone, shifts=shifts, first=n * place, parameters=made
-    )
+    moved = n * place + np.arange(n)
+    return InsertionShift(ligament=ligament, bone=bone, whole=shifts, moved=moved, parameters=made)
 
 
 def direction_words(shifts: Mapping[str, float]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.model.effects.effect import (
     InputsChange,
+    PartOfEffect,
     ReplicaInputsChange,
     amplitudes,
     with_remeasured_lengths,
@@ -162,36 +163,15 @@ def bundles(knee: Knee) -> ReplicaInputsChange:
 
 
 @declared
-class LigamentBundles:
+class LigamentBundles(PartOfEffect):
     """Bundles of one ligament of a knee, the other ligaments as they are."""
 
     ligament: str = entry("Name of the ligament, or of the group of its lines")
-    whole: ReplicaInputsChange = entry("The effect on all ligaments")
-    moved: IntArray = entry("Where its amplitudes stand among those of all ligaments")
-    parameters: Parameters = entry("Its amplitudes")
-
-    @property
-    def name(self) -> str:
-        """Name of the cause, the same for every ligament."""
-        return self.whole.name
 
     @property
     def variant(self) -> str:
         """Which ligament it is."""
         return self.ligament
-
-    def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect."""
-        return self.whole.change(setting, self._expanded(values))
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
-        return self.whole.change_copies(setting, self._expanded(values))
-
-    def _expanded(self, values: Array) -> Array:
-        whole = np.zeros((*values.shape[:-1], self.whole.parameters.n))
-        whole[..., self.moved] = values
-        return whole
 
 
 def bundles_of_each(knee: Knee) -> tuple[LigamentBundles, ...]:

@@ -227,8 +227,7 @@ def test_independent_draws_lie_apart() -> None:
     assert places.shape == (100, 3)
     assert len(np.unique(places, axis=0)) == 100
     assert set(places[:, 0]) == {0, 1, 2, 3}
-    with pytest.raises(ValueError, match=r"fewer.*1000000"):
-        found.independent(10**6)
+    assert 100 < len(found.independent(10**6)) < 10**6
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,6 @@ def test_distance_of_ig4_is_what_table_1_of_the_paper_prints() -> None:
     assert error.stiffness_kN == pytest.approx([2.0, 10.0, 2.0, 0.3])
     assert round(error.mean_kN, 1) == 3.6
     assert error.mean_pct == pytest.approx(3.5)
-    assert error.sd_kN == pytest.approx(np.std([2.0, 10.0, 2.0, 0.3], ddof=1))
-    assert error.sd_pct == pytest.approx(np.std([4.0, 8.0, 2.0, 0.0], ddof=1))
 
 
 @pytest.mark.parametrize("theta", [[1.0, 2.0, 3.0], [[1.0, 2.0], [3.0, 4.0]]])
