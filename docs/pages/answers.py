@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from identknee.blind_test.revelation import Revelation
+from identknee.blind_test.blind_data import Revelation
 from identknee.runs.declare import Entry, derived_entries, entries
 from identknee.runs.schema import record_within, type_hints_of
 from identknee.verbs.installation import Installation

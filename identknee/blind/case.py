@@ -5,12 +5,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from identknee.blind import energy
 from identknee.blind.conditions import (
     NO_ERRORS,
     STANDARD,
     Conditions,
-    draw_stated_errors,
+    knee_with_errors,
+    load_errors,
     true_errors,
     with_load_errors,
 )
@@ -25,9 +28,7 @@ from identknee.blind.experiment import (
     run_experiment,
     tensions,
 )
-from identknee.blind.hidden import Hidden, Scene
-from identknee.blind.rims import contact_stays_inside, rims_of
-from identknee.blind.sites import anatomical_sites
+from identknee.blind.hidden import Hidden, Scene, anatomical_sites
 from identknee.blind.truth import Truth, write_truth
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity, add_noise, write_laxity
@@ -36,6 +37,64 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.files import PathLike, prepare_folder
 from identknee.subject.knee import Knee
+from identknee.subject.surface import Surface
+
+# mm; nearer to a rim the surface that would touch next is not known.
+MARGIN = 3.0
+REACH = 0.5  # mm, within which points of the tibia are looked at
+
+
+@declared
+class Rims:
+    """Rims of the surfaces."""
+
+    femur: cKDTree = entry("Points of the femoral rim in the femur's frame")
+    tibia: tuple[tuple[cKDTree, cKDTree], ...] = entry(
+        "Points of the rim of each tibial surface in the tibia's frame, with all its vertices"
+    )
+
+
+def rims_of(knee: Knee) -> Rims:
+    """The rims of a knee's articular surfaces."""
+    return Rims(
+        femur=cKDTree(knee.femur_frame.to_local(_rim(knee.femur))),
+        tibia=tuple(
+            (
+                cKDTree(knee.tibia_frame.to_local(_rim(x))),
+                cKDTree(knee.tibia_frame.to_local(x.vertices)),
+            )
+            for x in knee.tibia
+        ),
+    )
+
+
+def contact_stays_inside(experiment: Experiment, run: ExperimentRun, rims: Rims) -> bool:
+    """Whether the middle of every contact of every trial is well inside both surfaces."""
+    return all(_is_inside(experiment, R, t, rims) for R, t in run.poses)
+
+
+def _rim(surface: Surface) -> Array:
+    return np.asarray(surface.vertices[np.unique(surface.boundary_edges)])
+
+
+def _is_inside(experiment: Experiment, R: Array, t: Array, rims: Rims) -> bool:
+    knee = experiment.arrays()
+    listed = energy.candidates(R, t, knee.surface, knee.field, REACH)
+    touching = np.empty(len(experiment.points), np.int64)
+    _, n = energy.energy_of(R, t, np.zeros(5), knee, listed, np.zeros(5), touching)
+    points = experiment.points[touching[:n]]
+    weight = experiment.areas[touching[:n]]
+    # Of the sheets, the nearest one carries a point.
+    distances = np.array([sheet.query(points)[0] for _, sheet in rims.tibia])
+    for index, (rim, _) in enumerate(rims.tibia):
+        own = distances.argmin(axis=0) == index
+        if not own.any():
+            continue
+        middle = np.average(points[own], axis=0, weights=weight[own])
+        if rim.query(middle)[0] < MARGIN or rims.femur.query(R @ middle + t)[0] < MARGIN:
+            return False
+    return True
+
 
 # Of the chi-square between two steps, and of the wanted signal.
 FIT_TOLERANCE = 1e-3
@@ -280,24 +339,26 @@ def blind_case(
     streams = [np.random.default_rng(x) for x in np.random.SeedSequence(seed).spawn(7)]
     names = _names(effect, streams[0])
     order, is_unloading = _history(protocol, streams[1])
+    exponent = float(streams[4].uniform(*conditions.exponents))
+    base = experiment_of(knee, protocol, exponent)
     scene = Scene(
         places=anatomical_sites(knee),
         n_lines=len(knee.ligaments),
-        start=_start(knee),
+        start=base.start,
         load_Nm=protocol.loads[:, :2],
         order=order,
         is_unloading=is_unloading,
         conditions=conditions,
     )
-    exponent = conditions.exponent(streams[4])
     noise = Noise(sd_mm=SD, sd_deg=SD, correlation=CORRELATION)
-    actual, off, base = knee, NO_ERRORS, experiment_of(knee, protocol, exponent)
+    actual, off = knee, NO_ERRORS
     wanted, redraws, found = (noise, signal, amplitude), 0, None
     while found is None and redraws < MOST_DRAWS:
         if redraws % DRAWS_A_KNEE == 0 and conditions.has_stated_errors:
-            actual, off = draw_stated_errors(knee, conditions, streams[6])
+            actual = knee_with_errors(knee, conditions, streams[6])
+            off = load_errors(conditions, streams[6])
             base = with_load_errors(experiment_of(actual, protocol, exponent), off)
-            scene = replace(scene, places=anatomical_sites(actual), start=_start(actual))
+            scene = replace(scene, places=anatomical_sites(actual), start=base.start)
         found = _drawn(base, names, scene, wanted, streams[2])
         if found is None or not contact_stays_inside(found.own, found.run, rims_of(actual)):
             found, redraws = None, redraws + 1
@@ -344,11 +405,6 @@ def _names(effect: str | Sequence[str] | None, generator: np.random.Generator) -
         if names.count(name) > 1:
             raise ValueError(f"the effect {name} is given twice; give it once")
     return names
-
-
-def _start(knee: Knee) -> tuple[Array, Array]:
-    femur, tibia = knee.femur_frame, knee.tibia_frame
-    return femur.axes @ tibia.axes.T, femur.to_local(tibia.origin)
 
 
 def _history(protocol: Protocol, generator: np.random.Generator) -> tuple[IntArray, BoolArray]:
@@ -468,7 +524,9 @@ def _theta(base: Experiment, scene: Scene, generator: np.random.Generator) -> Ar
     )
     shift = np.clip(generator.normal(0.0, conditions.strain_sd_pct, n_lines), -limit, limit)
     strain = 100.0 * base.lines[:n_lines, REFERENCE_STRAIN] + shift
-    return np.r_[stiffness, strain] if conditions.is_plausible(stiffness, strain) else None
+    most = np.repeat([conditions.most_stiffness_kN, conditions.most_strain_pct], n_lines)
+    theta: Array = np.r_[stiffness, strain]
+    return theta if np.all(np.abs(theta) <= most) else None
 
 
 def _noisy(

@@ -166,21 +166,12 @@ class Conditions:
         sizes = (self.insertion_mm, self.registration_deg, self.registration_mm)
         return max(*sizes, self.load_axes_deg, self.load_gain) > 0.0
 
-    def exponent(self, generator: np.random.Generator) -> float:
-        """An exponent of the contact law."""
-        return float(generator.uniform(*self.exponents))
-
     def place(self, anatomical: Array, generator: np.random.Generator) -> Array:
         """A structure's true place [mm] near its anatomical one, shape ``(3,)``."""
         if self.shift_mm is None:
             return np.asarray(anatomical + generator.normal(0.0, self.jitter_mm, 3))
         way = generator.normal(size=3)
         return np.asarray(anatomical + self.shift_mm * way / np.linalg.norm(way))
-
-    def is_plausible(self, stiffness: Array, strain: Array) -> bool:
-        """Whether true stiffnesses [kN] and reference strains [%] are plausible."""
-        within_strain = np.abs(strain) <= self.most_strain_pct
-        return bool((stiffness <= self.most_stiffness_kN).all() and within_strain.all())
 
     def remounting(self, flexion_deg: Array, generator: np.random.Generator) -> Array:
         """Error of remounting, common to all trials of a flexion angle [mm, deg], ``(n, 5)``."""
@@ -260,13 +251,6 @@ class LoadErrors:
 
 
 NO_ERRORS = LoadErrors(gains=np.zeros(5), turn_deg=np.zeros(3))
-
-
-def draw_stated_errors(
-    knee: Knee, conditions: Conditions, generator: np.random.Generator
-) -> tuple[Knee, LoadErrors]:
-    """The true knee in the rig, and the errors of the loads."""
-    return knee_with_errors(knee, conditions, generator), load_errors(conditions, generator)
 
 
 def load_errors(conditions: Conditions, generator: np.random.Generator) -> LoadErrors:

@@ -18,8 +18,7 @@ from identknee.blind.experiment import (
     TOE,
     Experiment,
 )
-from identknee.blind.hidden import Draw, Hidden, Scene, hidden, line_row
-from identknee.blind.sites import structure_insertions
+from identknee.blind.hidden import Draw, Hidden, Scene, hidden, line_row, structure_insertions
 from identknee.runs.arrays import Array
 
 # Slack strain of a structure [%].

@@ -641,17 +641,8 @@ class _Search:
             evaluation = Evaluation(
                 theta=start, residuals=np.full(1, np.inf), jacobian=np.full((1, n), np.nan)
             )
-            return ConstrainedFit(
-                evaluation=evaluation,
-                value=np.nan,
-                multiplier=np.nan,
-                tangent=np.full(n, np.nan),
-                is_held=np.zeros(n, dtype=np.bool_),
-                outcome=end.outcome,
-                is_on_target=False,
-                left=np.inf,
-                n_simulations=0,
-            )
+            nowhere = _Point(evaluation=evaluation, value=np.nan, gradient=None)
+            return self._result(nowhere, None, end.outcome, before)
         if not point.is_finite:
             return self._result(point, None, Outcome.START_FAILED, before)
         for _ in range(most_steps):

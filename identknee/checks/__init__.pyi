@@ -1,8 +1,8 @@
 from .broken_convention import BrokenConvention as BrokenConvention
+from .broken_convention import Convention as Convention
 from .broken_convention import convention_findings as convention_findings
+from .broken_convention import conventions_of as conventions_of
 from .broken_convention import find_broken_convention as find_broken_convention
-from .conventions import Convention as Convention
-from .conventions import conventions_of as conventions_of
 from .fit_checks import Fitted as Fitted
 from .fit_checks import check_fit as check_fit
 from .fit_checks import implausible_findings as implausible_findings

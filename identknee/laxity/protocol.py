@@ -255,10 +255,6 @@ class Protocol:
             else tuple(self.experiment[i] for i in chosen),
         )
 
-    def in_experiments_of(self, made: "Protocol") -> "Protocol":
-        """The trials, of the first of those experiments where they state none of their own."""
-        return self if self.experiments else replace(self, experiments=made.experiments)
-
     @property
     def series(self) -> IntArray:
         """Number of the experiment and state of each trial, shape ``(n,)``, in their order.

@@ -332,7 +332,9 @@ class LaxityModel:
         if protocol is self.protocol:
             return self
         made = self.protocol
-        protocol = protocol.in_experiments_of(made)
+        if not protocol.experiments:
+            # The trials are of the first of those of the model.
+            protocol = replace(protocol, experiments=made.experiments)
         return replace(
             self,
             protocol=protocol,

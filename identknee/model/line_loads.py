@@ -46,15 +46,13 @@ def line_loads(model: LaxityModel, prediction: Prediction) -> LineLoads:
     ValueError
         If the prediction was made without derivatives.
     """
-    if prediction.pose_jacobian is None:
-        raise ValueError("tensions have derivatives only where the prediction has them")
     theta, nodes, u = prediction.theta, model.paths.trial_node, model.tied.n
     amplitudes, settings = model.amplitudes(theta), _settings(model, theta)
     setting = settings[-1]
     found = _of_lines(model, setting, prediction)
     m = setting.stiffness.size
     by_theta = lines_by_units(setting.owned(len(model.knee.ligaments)), setting.share, model.tied)
-    moved = np.nan_to_num(prediction.pose_jacobian)
+    moved = np.nan_to_num(prediction.pose_slopes)
     tensions, strains = found.by_pose @ moved, found.strains_by_pose @ moved
     tensions[:, :, : 2 * u] += found.by_stiffness[:, :, None] * by_theta[:m]
     tensions[:, :, : 2 * u] += found.by_strain[:, :, None] * by_theta[m:]

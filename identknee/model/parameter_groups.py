@@ -138,7 +138,9 @@ def knee_parameters(
     bounds = {name: x for name, x in knee.bounds.items() if name in known}
     stored = {**values_of(knee), **knee.fitted}
     own = {name: x for name, x in stored.items() if name in known}
-    return with_priors(parameters.with_own(own), priors).with_bounds(bounds)
+    if own:
+        parameters = replace(parameters, own=parameters.vector(own))
+    return with_priors(parameters, priors).with_bounds(bounds)
 
 
 def lines_by_units(owned: Array, share: Array, tied: ParameterGroups) -> Array:

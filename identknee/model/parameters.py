@@ -165,10 +165,6 @@ class Parameters:
         """A copy in which all are nuisances."""
         return replace(self, is_nuisance=np.ones(self.n, bool))
 
-    def with_own(self, values: Mapping[str, float]) -> "Parameters":
-        """A copy in which the parameters named have other values of the subject's own."""
-        return replace(self, own=self.vector(values)) if values else self
-
 
 @declared
 class FreeParameters:

@@ -95,6 +95,19 @@ class Prediction:
         return self.jacobian
 
     @property
+    def pose_slopes(self) -> Array:
+        """Derivatives of the poses by theta.
+
+        Raises
+        ------
+        ValueError
+            If the prediction was made without derivatives.
+        """
+        if self.pose_jacobian is None:
+            raise ValueError("a prediction has derivatives only where they were asked for")
+        return self.pose_jacobian
+
+    @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """How each trial ended."""
         return tuple(OUTCOMES[code] for code in self.codes)

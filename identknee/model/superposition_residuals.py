@@ -63,8 +63,6 @@ def structure_wrenches(
     ValueError
         If the prediction was made without derivatives, or the model has no such structure.
     """
-    if prediction.pose_jacobian is None:
-        raise ValueError("wrenches have derivatives only where the prediction has them")
     if not model.parts:
         return _of_one_part(model, prediction, np.asarray(trials, np.int64), names)
     n, k = len(trials), len(WRENCH)
@@ -98,8 +96,7 @@ def _of_one_part(
     m = setting.stiffness.size
     by_line = lines_by_units(setting.owned(len(model.knee.ligaments)), setting.share, model.tied)
     by_twist = _summed(member, found.by_twist[row])
-    by_theta = np.zeros(0) if prediction.pose_jacobian is None else prediction.pose_jacobian[used]
-    moved = twists_by_pose(poses) @ np.nan_to_num(by_theta)
+    moved = twists_by_pose(poses) @ np.nan_to_num(prediction.pose_slopes[used])
     jacobian = by_twist @ moved[row]
     for slopes, units in ((found.by_stiffness, by_line[:m]), (found.by_strain, by_line[m:])):
         own = slopes[row] * member[:, :, None]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.blind import case, experiment, sites
+from identknee.blind import case, experiment, hidden
 from identknee.blind.conditions import STANDARD
 from identknee.model.parameters import ligament_parameters
 from identknee.subject.folder import example
@@ -50,7 +50,7 @@ def test_places_of_both_differ_as_the_table_says(column: int) -> None:
     knee = example(("reference", "lenhart2015_stable")[column])
     of_library = {x.name: x for lines in structure_sites(knee).values() for x in lines}
     apart: list[float] = []
-    for name, (femur, tibia) in sites.structure_insertions(sites.anatomical_sites(knee)).items():
+    for name, (femur, tibia) in hidden.structure_insertions(hidden.anatomical_sites(knee)).items():
         place = of_library[name]
         ends = (
             float(np.linalg.norm(knee.femur_frame.to_local(place.femur) - femur)),

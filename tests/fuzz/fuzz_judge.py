@@ -14,8 +14,7 @@ from unittest.mock import patch
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.app import app
-from identknee.cli.command import is_identknee_error
+from identknee.cli.app import app, is_identknee_error
 from identknee.runs import crash_report as unforeseen
 
 SLOWEST_S = 60.0
@@ -83,7 +82,7 @@ def commanded(words: list[str], out: Path | None = None) -> str:
         patch.object(ik, "read_subject", read_once),
         patch("identknee.verbs.verb.read_subject", read_once),
         patch.object(unforeseen, "report_unexpected_error", _raise),
-        patch("identknee.cli.command.report_unexpected_error", _raise),
+        patch("identknee.cli.app.report_unexpected_error", _raise),
     ):
         result = CliRunner().invoke(app, words)
     if result.exception is not None and not isinstance(result.exception, SystemExit):

@@ -277,7 +277,7 @@ FAULTS = (
         _CONDITIONS,
     ),
     fault(
-        "identknee/blind/sites.py",
+        "identknee/blind/hidden.py",
         "structure_insertions",
         "lateral + s * np.array([-4.0, 4.0, 0.0])",
         "lateral + s * np.array([4.0, 4.0, 0.0])",
@@ -285,7 +285,7 @@ FAULTS = (
         _SITES,
     ),
     fault(
-        "identknee/blind/sites.py",
+        "identknee/blind/hidden.py",
         "structure_insertions",
         "places.fibula + s * np.array([-4.0, 6.0, -5.0])",
         "places.fibula + s * np.array([4.0, -6.0, -5.0])",
@@ -293,7 +293,7 @@ FAULTS = (
         _SITES,
     ),
     fault(
-        "identknee/blind/sites.py",
+        "identknee/blind/hidden.py",
         "structure_insertions",
         "medial + s * np.array([-8.0, 0.0, 3.0])",
         "medial + s * np.array([8.0, 0.0, 3.0])",
@@ -301,7 +301,7 @@ FAULTS = (
         _SITES,
     ),
     fault(
-        "identknee/blind/sites.py",
+        "identknee/blind/hidden.py",
         "anatomical_sites",
         "forward = tibial[:, 0] - femoral[:, 0] - 0.001 * np.abs(across)",
         "forward = femoral[:, 0] - tibial[:, 0] - 0.001 * np.abs(across)",

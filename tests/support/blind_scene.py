@@ -4,10 +4,8 @@ import numpy as np
 
 from identknee.blind.conditions import STANDARD, Conditions
 from identknee.blind.effects import EFFECTS
-from identknee.blind.experiment import LINE_COLUMNS, Experiment
-from identknee.blind.femur import DistanceGrid
-from identknee.blind.hidden import Hidden, Scene
-from identknee.blind.sites import AnatomicalSites
+from identknee.blind.experiment import LINE_COLUMNS, DistanceGrid, Experiment
+from identknee.blind.hidden import AnatomicalSites, Hidden, Scene
 from identknee.laxity.protocol import Protocol
 
 # Internal, varus [N·m]; anterior, distraction, lateral [N].

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from knees import knee
 
-from identknee.blind.case import CORRELATION, SD, BlindCase
+from identknee.blind.case import CORRELATION, SD, BlindCase, contact_stays_inside, rims_of
 from identknee.blind.experiment import experiment_of, run_experiment, tensions
-from identknee.blind.rims import contact_stays_inside, rims_of
 from identknee.diagnosis.candidates import library_variants
 from identknee.diagnosis.fitting import (
     base_model,

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identknee.blind import energy, equilibrium, femur
-from identknee.blind.femur import BAND_MM, distance_grid
+from identknee.blind import energy, equilibrium, experiment
+from identknee.blind.experiment import BAND_MM, distance_grid
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee
 
@@ -89,8 +89,8 @@ def test_the_distance_to_the_femur_is_that_of_its_formula_or_its_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The reference knee has both: the mesh is off by less than what its facets are flat."""
-    monkeypatch.setattr(femur, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(femur, "SPACING_MM", 3.0)
+    monkeypatch.setattr(experiment, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(experiment, "SPACING_MM", 3.0)
     knee = reference_knee()
     assert knee.femur_distance is not None
     grid = distance_grid(knee)
@@ -104,11 +104,11 @@ def test_the_distance_to_the_femur_is_that_of_its_formula_or_its_mesh(
         vertices=knee.femur_frame.to_local(knee.femur.vertices), faces=knee.femur.faces
     )
     inner = np.setdiff1d(np.arange(len(surface.vertices)), surface.boundary_edges)[::20]
-    normals = femur.vertex_normals(surface)[inner]
+    normals = experiment.vertex_normals(surface)[inner]
     for height in (-0.5, 0.0, 0.5):
         above = surface.vertices[inner] + height * normals
         wanted = knee.femur_distance(knee.femur_frame.to_common(above))
-        apart = femur._from_vertices(surface, above) - wanted
+        apart = experiment._from_vertices(surface, above) - wanted
         # Near the rim the mesh knows of one side alone.
         assert np.quantile(np.abs(apart), 0.9) < 0.1
         assert abs(np.median(apart)) < 0.05

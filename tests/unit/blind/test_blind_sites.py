@@ -6,7 +6,7 @@ from blind_scene import scene
 from posed_knees import posed_reference
 
 from identknee.blind.case import Noise, amplitude_for_signal, unexplained_norm
-from identknee.blind.sites import anatomical_sites, structure_insertions
+from identknee.blind.hidden import anatomical_sites, structure_insertions
 from identknee.runs.arrays import Array
 from identknee.subject.reference import reference_knee
 

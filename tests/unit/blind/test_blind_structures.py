@@ -12,8 +12,7 @@ from identknee.blind import energy
 from identknee.blind.conditions import Conditions, TruncatedNormal
 from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
 from identknee.blind.experiment import Experiment
-from identknee.blind.hidden import line_row
-from identknee.blind.sites import structure_insertions
+from identknee.blind.hidden import line_row, structure_insertions
 from identknee.runs.arrays import Array
 
 STRUCTURES = ("anterolateral", "posteromedial", "popliteofibular", "deep_mcl")

@@ -10,8 +10,7 @@ from planted_conventions import PLANTED, clean_table, drawn_table
 
 import identknee as ik
 from identknee.checks import broken_convention
-from identknee.checks.broken_convention import find_broken_convention
-from identknee.checks.conventions import conventions_of
+from identknee.checks.broken_convention import conventions_of, find_broken_convention
 from identknee.checks.data_noise import noise_of
 from identknee.checks.table_checks import (
     WORKS_ON,

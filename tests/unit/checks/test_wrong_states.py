@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.checks.broken_convention import find_broken_convention
-from identknee.checks.conventions import conventions_of
+from identknee.checks.broken_convention import conventions_of, find_broken_convention
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.laxity_model import LaxityModel

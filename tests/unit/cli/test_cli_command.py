@@ -15,7 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 import identknee as ik
-from identknee.cli.command import Command, CommandGroup
+from identknee.cli.app import Command, CommandGroup
 from identknee.runs import crash_report as unforeseen
 from identknee.runs.arrays import frozen
 from identknee.runs.errors import NotComputable

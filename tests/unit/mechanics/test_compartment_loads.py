@@ -7,9 +7,9 @@ import pytest
 from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM, DIFFERENCE
 
-from identknee.mechanics.compartment_loads import CompartmentLoads, compartment_loads
 from identknee.mechanics.contact_points import distance_bending, distances
 from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw
+from identknee.model.contact_loads import CompartmentLoads, compartment_loads
 from identknee.model.laxity_model import ContactGeometry, LaxityModel, contact_geometry
 from identknee.runs.arrays import Array
 

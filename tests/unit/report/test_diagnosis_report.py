@@ -30,12 +30,12 @@ from identknee.report.diagnosis_figures import (
 )
 from identknee.report.figures import MEASURED, png
 from identknee.report.presenter import statements_of
-from identknee.runs.array_groups import groups_of
 from identknee.runs.schema import summary_of
 from identknee.subject.insertion_sites import name_of_place
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 from identknee.verbs.diagnosis import diagnosis_of, untestable
+from identknee.verbs.files import groups_of
 
 EFFECTS = (None, FRAME)
 

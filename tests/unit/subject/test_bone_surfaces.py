@@ -8,9 +8,8 @@ import pytest
 import trimesh
 
 import identknee as ik
-from identknee.model.nuisances import insertions
+from identknee.model.nuisances import insertion_covariance, insertions, surface_normal
 from identknee.runs.errors import InputError, ValueRefused
-from identknee.subject.bone_surfaces import insertion_covariance, surface_normal
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Uncertainty, with_stated_uncertainty
 from identknee.subject.surface import Surface

@@ -9,13 +9,12 @@ import pytest
 from report_folders import KNEE, straight_profiles
 
 import identknee as ik
-from identknee.runs.array_groups import groups_of
 from identknee.runs.declare import declared, derived_entries, entries, entry
 from identknee.runs.errors import InputError
 from identknee.runs.record import record
 from identknee.runs.schema import record_within, summary_of, type_hints_of
 from identknee.verbs import registry
-from identknee.verbs.files import load, write_answer
+from identknee.verbs.files import groups_of, load, write_answer
 from identknee.verbs.profile import Profiles
 from identknee.verbs.registry import Verb, verbs
 

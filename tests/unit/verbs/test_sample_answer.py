@@ -12,10 +12,9 @@ from report_folders import write_given
 from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import sample
 from identknee.report.printer import terminal_lines
-from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.schema import summary_of, to_plain
-from identknee.verbs.files import load
+from identknee.verbs.files import groups_of, load
 from identknee.verbs.sample import Nested, Sample, as_answer
 
 LOST = finding("no-prediction", "trials", sentence="no prediction")

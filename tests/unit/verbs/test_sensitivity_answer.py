@@ -13,10 +13,9 @@ from identknee.identify.sensitivity_estimators import Index
 from identknee.laxity.trial_words import LaxityGroup
 from identknee.model.parameters import ligament_parameters
 from identknee.report.printer import terminal_lines
-from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.schema import summary_of, to_plain
-from identknee.verbs.files import load
+from identknee.verbs.files import groups_of, load
 from identknee.verbs.sensitivity import GlobalSensitivity
 
 PARAMETERS = ligament_parameters(["A", "new"], [1.0, 2.0], [3.0, 4.0])

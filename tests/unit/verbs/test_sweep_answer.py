@@ -14,11 +14,10 @@ from identknee.identify.sweep import sobol_starts, survey, sweep
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.printer import terminal_lines
-from identknee.runs.array_groups import groups_of
 from identknee.runs.findings import finding
 from identknee.runs.schema import summary_of, to_plain
 from identknee.subject.knee import Knee
-from identknee.verbs.files import load
+from identknee.verbs.files import groups_of, load
 from identknee.verbs.sweep import Sweep, trials_lost
 
 PROBLEM = linear(2)
