@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from held import both_of, fixing
 from posed_knees import FIFTH, NAMES, posed_reference
 from typer.testing import CliRunner
 
@@ -22,12 +23,7 @@ FREE = (
     f"{NAMES[2]}.reference_strain_pct",
     f"{FIFTH.name}.stiffness_kN",
 )
-HELD = tuple(
-    f"{name}.{quantity}"
-    for name in (*NAMES, FIFTH.name)
-    for quantity in ("stiffness_kN", "reference_strain_pct")
-    if f"{name}.{quantity}" not in FREE
-)
+HELD = tuple(x for x in both_of(*NAMES, FIFTH.name) if x not in FREE)
 PROTOCOL = """
 format = 1
 [[ramps]]
@@ -57,7 +53,7 @@ def summaries(tmp_path_factory: pytest.TempPathFactory) -> Summaries:
     protocol = folder / "short.toml"
     protocol.write_text(PROTOCOL, encoding="utf-8")
     _run("simulate", here, "--protocol", protocol, "--noise", "0.5mm,0.5deg", "--out", folder)
-    held = [word for name in HELD for word in ("--fix", name)]
+    held = fixing(HELD)
 
     def both(verb: str) -> tuple[dict[str, Any], dict[str, Any]]:
         found = []

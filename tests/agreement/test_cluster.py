@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from cli_runs import said
 from few_starts import use_few_starts
+from held import both_of
 from small_knee import small_knee, small_protocol
 
 import identknee as ik
@@ -23,9 +24,7 @@ from identknee.runs.executors import dask_cluster
 from identknee.verbs.answer import Answer
 
 # Two parameters stay free.
-HELD = [
-    f"{x}.{y}" for x in ("back", "outer", "inner") for y in ("stiffness_kN", "reference_strain_pct")
-]
+HELD = both_of("back", "outer", "inner")
 CANDIDATES = """
 format = 1
 name = "small"

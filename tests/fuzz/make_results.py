@@ -12,6 +12,7 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1] / "support"))
 
 from diagnoses import FRAME, short_data
+from held import both_of, fixing
 from typer.testing import CliRunner
 
 from identknee.cli.app import app
@@ -35,12 +36,7 @@ flexion_deg = [20]
 load = "varus_moment_Nm"
 values = [-5, 5]
 """
-FEW = [
-    word
-    for ligament in ("PCL", "LCL", "MCL")
-    for quantity in ("stiffness_kN", "reference_strain_pct")
-    for word in ("--fix", f"{ligament}.{quantity}")
-]
+FEW = fixing(both_of("PCL", "LCL", "MCL"))
 NAME = "ACL.stiffness_kN"
 VERBS = {
     "simulate": ["simulate", "reference", "--protocol", "PROTOCOL", "--noise", "0.3mm,0.3deg"],

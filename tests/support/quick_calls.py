@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+from held import both_of
 from slow_cases import some_slow
 
 import identknee as ik
@@ -18,9 +19,7 @@ QUICK: Mapping[str, tuple[Callable[..., Answer], Mapping[str, Any]]] = {
     "sample": (ik.sample, {"moves": "difference", "budget": 700}),
 }
 # Parameters without which two stay free.
-ALL_BUT_ACL = [
-    f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")
-]
+ALL_BUT_ACL = both_of("PCL", "LCL", "MCL")
 # Parameters without which four stay free.
 ALL_BUT_FOUR = [*(f"{x}.stiffness_kN" for x in ("PCL", "LCL", "MCL")), "LCL.reference_strain_pct"]
 

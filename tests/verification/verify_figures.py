@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from figure_checks import faults_of
+from held import fixing
 from requirement_rows import Measure, Row
 from typer.testing import CliRunner
 
@@ -74,7 +75,7 @@ def commands(knee: Knee, table: Path) -> Iterator[tuple[str, list[str]]]:
     of_data, of_knee = [knee.name, str(table)], [knee.name, "--protocol", "drawer"]
     names = LaxityModel(knee=knee, protocol=grid()).parameters.names
     free = names[0]
-    held = [word for x in names if x != free for word in ("--fix", x)]
+    held = fixing(x for x in names if x != free)
     noise = ["--noise", NOISE]
     yield "simulate", ["simulate", *of_knee, *noise]
     yield "fit", ["fit", *of_data, *noise, "--budget", "20", "--more-starts", "1"]

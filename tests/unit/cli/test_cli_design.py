@@ -9,18 +9,14 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from held import both_of, fixing
 
 import identknee as ik
 from identknee.laxity.protocol import concatenate
 from identknee.subject.knee import BONES
 from identknee.verbs.files import load
 
-HELD = [
-    word
-    for name in ("ACL", "PCL", "MCL")
-    for kind in ("stiffness_kN", "reference_strain_pct")
-    for word in ("--fix", f"{name}.{kind}")
-]
+HELD = fixing(both_of("ACL", "PCL", "MCL"))
 
 
 @pytest.fixture(scope="module")

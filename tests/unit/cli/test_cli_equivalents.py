@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from held import fixing
 
 import identknee as ik
 from identknee.verbs.files import load
 
 VERB = ("equivalents", "reference")
-HELD = [x for name in ("PCL", "LCL", "MCL") for x in ("--fix", f"{name}.stiffness_kN")]
+HELD = fixing(f"{name}.stiffness_kN" for name in ("PCL", "LCL", "MCL"))
 
 
 @pytest.fixture(scope="module")

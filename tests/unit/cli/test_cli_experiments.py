@@ -7,16 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import refused, run
+from held import both_of, fixing
 
 import identknee as ik
 
 PROTOCOL = ik.load_protocol("table2")
-HELD = [
-    word
-    for name in ("PCL", "LCL", "MCL")
-    for kind in ("stiffness_kN", "reference_strain_pct")
-    for word in ("--fix", f"{name}.{kind}")
-]
+HELD = fixing(both_of("PCL", "LCL", "MCL"))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from held import fixing
 
 import identknee as ik
 
@@ -130,7 +131,7 @@ def test_a_start_without_prediction_ends_with_1(tmp_path: Path) -> None:
     start.write_text("\n".join(tables), encoding="utf-8")
     result = run(
         *("fit", "reference", noise_free(tmp_path), "--start", start, "--out", tmp_path / "fit"),
-        *(x for name in ("ACL", "PCL", "LCL", "MCL") for x in ("--fix", f"{name}.stiffness_kN")),
+        *fixing(f"{name}.stiffness_kN" for name in ("ACL", "PCL", "LCL", "MCL")),
     )
     assert result.exit_code == 1
     assert "nothing-fitted" in result.stderr

@@ -8,18 +8,14 @@ from typing import Any
 import pytest
 import xarray
 from cli_runs import refused, run
+from held import both_of, fixing
 from scipy.stats import chi2
 
 import identknee as ik
 from identknee.subject.knee import LigamentGroup
 
 # What stays free beside the two costs time and changes nothing that is asked here.
-HELD = [
-    word
-    for name in ("ACL", "PCL", "MCL")
-    for quantity in ("stiffness_kN", "reference_strain_pct")
-    for word in ("--fix", f"{name}.{quantity}")
-]
+HELD = fixing(both_of("ACL", "PCL", "MCL"))
 TWO = ("--parameter", "LCL.stiffness_kN", "--parameter", "LCL.reference_strain_pct")
 
 

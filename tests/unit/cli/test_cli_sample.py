@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from held import fixing
 
 import identknee as ik
 
 NAMES = ("PCL", "LCL", "MCL")
-HELD = [x for name in NAMES for x in ("--fix", f"{name}.stiffness_kN")]
+HELD = fixing(f"{name}.stiffness_kN" for name in NAMES)
 
 
 @pytest.fixture(scope="module")

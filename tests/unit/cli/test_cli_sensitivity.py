@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from cli_runs import refused, run, short_protocol
+from held import both_of, fixing
 
 import identknee as ik
 
@@ -46,7 +47,7 @@ def test_trials_of_a_table_and_fixed_parameters(tmp_path: Path) -> None:
     table = ik.write_laxity(
         ik.simulate(ik.reference_knee(), protocol).laxity, tmp_path / "data.csv"
     )
-    held = [x for name in ("PCL", "LCL", "MCL") for x in ("--fix", f"{name}.stiffness_kN")]
+    held = fixing(f"{name}.stiffness_kN" for name in ("PCL", "LCL", "MCL"))
     words = ("--method", "morris", "--samples", 2, *held, "--out", tmp_path, "--json")
     result = run(*WORDS, table, *words)
     assert result.exit_code == 0, result.output
@@ -78,10 +79,7 @@ def test_mistakes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     short = (PROTOCOL, short_protocol(tmp_path), "--out", tmp_path / "out")
     assert "blocks, got 3" in refused(*WORDS, *short, "--samples", 3)
     names = [x.name for x in ik.reference_knee().ligaments]
-    all_but_one = [
-        f"{x}.{kind}" for x in names for kind in ("stiffness_kN", "reference_strain_pct")
-    ]
-    held = [x for name in all_but_one[1:] for x in ("--fix", name)]
+    held = fixing(both_of(*names)[1:])
     assert "two parameters" in refused(*WORDS, *short, *held)
     none = refused(*WORDS, *short, "--method", "delta", "--posterior", tmp_path)
     assert str(tmp_path) in none

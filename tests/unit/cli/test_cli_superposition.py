@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runs import refused, run
+from held import both_of, fixing
 from replayed_paths import in_situ_forces
 
 import identknee as ik
@@ -27,12 +28,7 @@ noise = "0.2mm,0.2deg"
 [rigs.robot.uncertainty]
 load_cell_N = 3.0
 """
-HELD = [
-    word
-    for name in ("PCL", "LCL", "MCL")
-    for kind in ("stiffness_kN", "reference_strain_pct")
-    for word in ("--fix", f"{name}.{kind}")
-]
+HELD = fixing(both_of("PCL", "LCL", "MCL"))
 
 
 @pytest.fixture

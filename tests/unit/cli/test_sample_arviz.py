@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cli_runs import run, short_protocol
 from filelock import FileLock
+from held import both_of, fixing
 from scipy.stats import multivariate_normal
 
 import identknee as ik
@@ -17,7 +18,7 @@ with FileLock(Path(tempfile.gettempdir()) / "identknee-arviz.lock"), warnings.ca
     warnings.simplefilter("ignore")
     az = pytest.importorskip("arviz")
 
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+HELD = both_of("PCL", "LCL", "MCL")
 # Its file of a sample is the same; names of functions and results differ.
 OLD = pytest.mark.skipif("InferenceData" not in vars(az), reason="arviz 1 names them otherwise")
 
@@ -36,7 +37,7 @@ def sampled(tmp_path_factory: pytest.TempPathFactory) -> Path:
         protocol=protocol, coordinates=coordinates, sd=sd, within_trial_correlation=0.4
     )
     data = ik.write_laxity(blank, folder / "data.csv")
-    held = [y for x in HELD for y in ("--fix", x)]
+    held = fixing(HELD)
     result = run("sample", "reference", data, *held, "--out", folder, "--budget", 3000)
     assert result.exit_code == 0, result.output
     return folder

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from held import both_of
 from report_folders import write_given
 from typing_extensions import override
 
@@ -16,7 +17,7 @@ from identknee.report.page.results import found_results
 from identknee.report.presenter import presenter_of, statements_of
 from identknee.verbs.answer import Answer
 
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+HELD = both_of("PCL", "LCL", "MCL")
 # A longer one is a sentence, not a heading, a name or a number.
 LONG = 60
 BLOCKS = {"p", "li", "figcaption", "caption", "summary", "td", "th", "h2", "h3"}

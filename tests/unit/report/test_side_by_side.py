@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runs import refused, run
+from held import both_of
 
 import identknee as ik
 from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM, EvidenceTerm
@@ -17,7 +18,7 @@ from identknee.report.page.results import found_results
 from identknee.report.presenter import statements_of
 from identknee.verbs.files import write_answer
 
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+HELD = both_of("PCL", "LCL", "MCL")
 ACL = "ACL.stiffness_kN"
 HOW: dict[str, Any] = {"noise": "0.5mm,0.5deg", "fixed": HELD, "priors": False}
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from held import both_of
 from replayed_paths import in_situ_forces
 from tolerances import CLOSED_FORM
 
@@ -20,7 +21,7 @@ from identknee.subject.knee import Knee, with_stated_uncertainty
 from identknee.verbs.identification import Identification, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 
-FIXED = [f"{x}.{y}" for x in ("LCL", "MCL") for y in ("stiffness_kN", "reference_strain_pct")]
+FIXED = both_of("LCL", "MCL")
 # The two sides solve the same normal equations by other routes.
 SOLVED = 1e6 * CLOSED_FORM
 

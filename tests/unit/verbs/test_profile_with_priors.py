@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from held import both_of
 
 import identknee as ik
 from identknee.identify.profile.result import EndOrigin, ProfileVerdict
 from identknee.verbs.profile import Profiles
 
 NOISE = "0.5mm,0.5deg"
-HELD = [f"{x}.{y}" for x in ("PCL", "LCL") for y in ("stiffness_kN", "reference_strain_pct")]
+HELD = both_of("PCL", "LCL")
 # Of the ends: profiles end to 1e-3 of the threshold.
 RELATIVE = 2e-3
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cli_runs import run, said, short_protocol
+from held import fixing
 from quick_calls import ALL_BUT_ACL
 from slow_cases import some_slow
 
@@ -46,7 +47,7 @@ def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: P
     data = ik.write_laxity(laxity, tmp_path / "data.csv")
     made = function(ik.reference_knee(), ik.read_laxity(data), fixed=ALL_BUT_ACL, **options)
     words = [y for name, x in options.items() for y in (f"--{name.replace('_', '-')}", x)]
-    held = [y for x in ALL_BUT_ACL for y in ("--fix", x)]
+    held = fixing(ALL_BUT_ACL)
     result = run(verb, "reference", data, *held, *words, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert said(load(tmp_path / "out")) == said(made)
