@@ -13,8 +13,10 @@ import pytest
 from few_starts import use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
+from small_knee import small_knee, small_protocol
 
 from identknee.laxity.protocol import load_protocol
+from identknee.model import laxity_model
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.subject.folder import example
@@ -103,6 +105,15 @@ def reference_prediction(reference_model: LaxityModel) -> Prediction:
 def stable_model() -> LaxityModel:
     """The real knee whose four-line model is well posed, under the 63 trials."""
     return LaxityModel(knee=example("lenhart2015_stable"), protocol=load_protocol("seed63"))
+
+
+@pytest.fixture(scope="session")
+def small_model(tmp_path_factory: pytest.TempPathFactory) -> LaxityModel:
+    """The small knee under its few trials, its map of the femur kept from other tests."""
+    cache = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(laxity_model, "cache_folder", lambda: cache)
+        return LaxityModel(knee=small_knee(), protocol=small_protocol())
 
 
 @pytest.fixture

@@ -54,6 +54,12 @@ def _reference() -> ik.Knee:
     return _READ_SUBJECT("reference")
 
 
+def summary_in(folder: Path) -> dict[str, Any]:
+    """What a verb left in its `result.json`."""
+    content: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return content
+
+
 def refused(*words: object) -> str:
     """The sentence a command is refused with: exit code 2, one line, no traceback."""
     result = run(*words)

@@ -5,16 +5,12 @@ trials are simulated from the measured poses.
 """
 
 import argparse
-import json
-import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_outcomes import KeptOutcomes
 from requirement_rows import Measure, Row
 
 import identknee as ik
@@ -22,7 +18,7 @@ from identknee.checks.usable_trials import table_model
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
 
-KEPT = Path(tempfile.gettempdir()) / "identknee_verification" / "lowest_fit.jsonl"
+KEPT = KeptOutcomes("lowest_fit")
 # How many data sets of each knee.
 KNEES = {"reference": 14, "lenhart2015_stable": 13, "s192803": 13}
 N_STARTS, APART = 200, 0.1
@@ -32,21 +28,9 @@ LOG_SD, STRAIN_SD, MOST_DRAWS = 0.35, 2.0, 200
 
 def measure(options: argparse.Namespace) -> Row:
     """How far `fit` ends above the lowest end of a sweep of the same data."""
-    KEPT.parent.mkdir(exist_ok=True)
-    known = _known()
     tasks = [(name, i) for name, n in KNEES.items() for i in range(n)]
-    left = [x for x in tasks if f"{x[0]}:{x[1]}" not in known]
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as executor:
-        running = [executor.submit(partial(_outcome, *x)) for x in left]
-        for done in as_completed(running):
-            with KEPT.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(done.result()) + "\n")
-    return _row(list(_known().values()))
-
-
-def _known() -> dict[str, dict[str, Any]]:
-    lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
-    return {x["key"]: x for x in map(json.loads, lines)}
+    KEPT.compute({f"{x}:{i}": partial(_outcome, x, i) for x, i in tasks}, options.workers)
+    return _row(list(KEPT.known().values()))
 
 
 def _outcome(name: str, number: int) -> dict[str, Any]:
@@ -55,7 +39,6 @@ def _outcome(name: str, number: int) -> dict[str, Any]:
     fitted = ik.fit(knee, laxity, noise=NOISE)
     swept = ik.sweep(knee, laxity, noise=NOISE, n_starts=N_STARTS, paths=0, seed=number)
     return {
-        "key": f"{name}:{number}",
         "knee": name,
         "fit": 2.0 * fitted.objective,
         "sweep": 2.0 * swept.searches.lowest_objective,

@@ -5,20 +5,18 @@ the priors of ligament parameters; their fits are held against `fit --priors`.
 """
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
+from kept_outcomes import KeptOutcomes
 from requirement_rows import Measure, Row
 
 import identknee as ik
 
-KEPT = Path(gettempdir()) / "identknee_verification" / "measured_knee.jsonl"
+KEPT = KeptOutcomes("measured_knee")
 KNEES = ("s192803", "s192803_bundles")
 HOW = {
     "uncertain": "registration=4deg,registration=4mm,insertions=4mm",
@@ -53,20 +51,17 @@ WITHOUT_FIT = ("sensitivity", "diagnose")
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
     """Deviance of the best fit and time by verb, ends of a sweep, and groups with an index."""
-    KEPT.parent.mkdir(exist_ok=True)
     tasks = [(knee, verb) for verb in VERBS for knee in KNEES]
     if known := _known():
         yield _row(known)
     for task in tasks:
         if task not in _known():
-            with KEPT.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(_outcome(*task, options.workers)) + "\n")
+            KEPT.keep(" ".join(task), _outcome(*task, options.workers))
             yield _row(_known())
 
 
 def _known() -> dict[tuple[str, str], dict[str, Any]]:
-    lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
-    return {(x["knee"], x["verb"]): x for x in map(json.loads, lines)}
+    return {(x["knee"], x["verb"]): x for x in KEPT.known().values()}
 
 
 def _outcome(knee: str, verb: str, workers: int) -> dict[str, Any]:

@@ -5,15 +5,11 @@ data set is profiled with the priors of ligament parameters and without.
 """
 
 import argparse
-import json
-import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_outcomes import KeptOutcomes
 from requirement_rows import Measure, Row
 from scipy.stats import beta
 
@@ -22,7 +18,7 @@ from identknee.identify.profile.result import SideStatus
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 
-KEPT = Path(tempfile.gettempdir()) / "identknee_verification" / "priors.jsonl"
+KEPT = KeptOutcomes("priors")
 TRUTHS = ("prior", "twice", "uniform")
 N_SETS, MOST_DRAWS = 20, 200
 SD = 0.5
@@ -33,21 +29,9 @@ NAMES = {True: "with priors", False: "data alone"}
 
 def measure(options: argparse.Namespace) -> Row:
     """Coverage and width by truths, with priors and without."""
-    KEPT.parent.mkdir(exist_ok=True)
-    known = _known()
     tasks = [(truths, i) for truths in TRUTHS for i in range(N_SETS)]
-    left = [x for x in tasks if f"{x[0]}:{x[1]}" not in known]
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as executor:
-        running = [executor.submit(partial(_outcome, *x)) for x in left]
-        for done in as_completed(running):
-            with KEPT.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(done.result()) + "\n")
-    return _row(_known())
-
-
-def _known() -> dict[str, dict[str, Any]]:
-    lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
-    return {x["key"]: x for x in map(json.loads, lines)}
+    KEPT.compute({f"{x}:{i}": partial(_outcome, x, i) for x, i in tasks}, options.workers)
+    return _row(KEPT.known())
 
 
 def _drawn(parameters: Parameters, truths: str, generator: np.random.Generator) -> np.ndarray:
@@ -78,7 +62,7 @@ def _outcome(truths: str, number: int) -> dict[str, Any]:
         sd_deg=SD,
         seed=number,
     )
-    found: dict[str, Any] = {"key": f"{truths}:{number}"}
+    found: dict[str, Any] = {}
     for priors, name in NAMES.items():
         profiles = ik.profile(knee, laxity, priors=priors).parameters
         covers, widths = [], []

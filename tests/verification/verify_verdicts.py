@@ -7,17 +7,13 @@ files, so that the same command resumes; the row is written after every part.
 """
 
 import argparse
-import json
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from itertools import product
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 from blind_diagnoses import BlindTask, outcome_of
+from kept_outcomes import KeptOutcomes
 from knees import knee
 from requirement_rows import Measure, Row
 from verdict_cases import distance_from_listed, torn_outcome
@@ -35,7 +31,7 @@ from verify_blind import (
 
 from identknee.blind.case import blind_case
 
-KEPT = Path(tempfile.gettempdir()) / "identknee_verification" / "verdicts.jsonl"
+KEPT = KeptOutcomes("verdicts")
 CONSTANT = ("shank_gravity", "compression", "muscle_tension")
 UNLISTED = (
     "missing_line",
@@ -51,18 +47,11 @@ Made = Callable[[], dict[str, Any]]
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
     """The row of what is kept from earlier runs, then with every part more."""
-    KEPT.parent.mkdir(exist_ok=True)
-    if KEPT.exists():
-        yield row_of(_of_parts(_known()))
+    if known := KEPT.known():
+        yield row_of(_of_parts(known))
     for name, made in PARTS.items():
-        _compute(name, made(), options.workers)
-        yield row_of(_of_parts(_known()))
-
-
-def _known() -> dict[str, dict[str, Any]]:
-    """What is kept, by the part and the number of its task."""
-    lines = KEPT.read_text(encoding="utf-8").splitlines() if KEPT.exists() else []
-    return {x["key"]: x for x in map(json.loads, lines)}
+        KEPT.compute({f"{name}:{i}": x for i, x in enumerate(made())}, options.workers)
+        yield row_of(_of_parts(KEPT.known()))
 
 
 def _of_parts(known: Mapping[str, dict[str, Any]]) -> dict[str, Outcomes]:
@@ -70,22 +59,6 @@ def _of_parts(known: Mapping[str, dict[str, Any]]) -> dict[str, Outcomes]:
     for key, outcome in known.items():
         found[key.partition(":")[0]].append(outcome)
     return found
-
-
-def _compute(name: str, tasks: list[Made], workers: int) -> None:
-    """Compute and keep the outcomes of a part that are not kept yet."""
-    known = _known()
-    keys = [f"{name}:{i}" for i in range(len(tasks))]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
-        running = {
-            executor.submit(task): key
-            for key, task in zip(keys, tasks, strict=True)
-            if key not in known
-        }
-        for done in as_completed(running):
-            outcome = {**done.result(), "key": running[done]}
-            with KEPT.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(outcome) + "\n")
 
 
 def _blind(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import xarray
-from cli_runs import run, said, short_protocol
+from cli_runs import run, said, short_protocol, summary_in
 
 import identknee as ik
 from identknee.identify.profile.profile import profile_parameters
@@ -43,7 +43,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
         "result.nc",
         "starts.png",
     }
-    summary = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(out)
     assert summary["settings"] == "short settings"
     assert [(x["method"], x["start"]) for x in summary["starts"]] == [
         ("complex", "IG2"),

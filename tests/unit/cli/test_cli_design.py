@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 from held import both_of, fixing
 
 import identknee as ik
@@ -33,7 +33,7 @@ def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Pat
     result = run(*words, "--candidates", short_protocol(tmp_path), "--target", "LCL.stiffness_kN")
     assert result.exit_code == 0, result.output
     assert "predicted" in result.stdout
-    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path)
     assert list(summary["before"]) == list(summary["after"]) == ["LCL.stiffness_kN"]
     before, after = (summary[x]["LCL.stiffness_kN"] for x in ("before", "after"))
     before, after = (x["upper"] - x["lower"] for x in (before, after))
@@ -95,7 +95,7 @@ def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_
     result = run("design", "reference", *words, "--uncertain", "insertions=2mm", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert re.search(r"\(.*1 mm .* 2 mm\)", result.stdout)
-    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path)
     ranking = {x["name"]: x["narrowing"] for x in summary["ranking"]}
     insertions = {
         f"insertion.{x.name}_{bone}" for x in ik.reference_knee().ligaments for bone in BONES

@@ -3,11 +3,10 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import xarray
-from cli_runs import refused, run, said, short_protocol
+from cli_runs import refused, run, said, short_protocol, summary_in
 from diagnoses import FRAME, FRAME_DEG, short_data
 from posed_knees import posed_folder
 
@@ -33,14 +32,9 @@ def framed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
     return data, folder / "out", result.stdout
 
 
-def _summary(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    return content
-
-
 def test_the_keys_that_checks_read_are_there(framed: tuple[Path, Path, str]) -> None:
     _, out, printed = framed
-    summary = _summary(out)
+    summary = summary_in(out)
     assert summary["verdict"] == "NAMED"
     (cause,) = summary["causes"]
     assert cause["name"] == FRAME
@@ -76,7 +70,7 @@ def test_arrays_and_pictures_are_left_beside(framed: tuple[Path, Path, str]) -> 
 def test_python_gives_the_same_answer(framed: tuple[Path, Path, str]) -> None:
     data, out, _ = framed
     answer = ik.diagnose(ik.reference_knee(), ik.read_laxity(data), start="IG2")
-    stored = _summary(out)
+    stored = summary_in(out)
     said = plain(summary_of(answer))
     assert set(said) == set(stored)
     for key in set(stored) - {"seconds", "record"}:
@@ -91,7 +85,7 @@ def test_other_verbs_go_on_with_the_extended_subject(
     words = ("fit", out / "extended", data, "--start", start, "--priors", "--out", tmp_path)
     result = run(*words, "--weighting", "noise")
     assert result.exit_code == 0, result.output
-    found, before = _summary(tmp_path)["parameters"], _summary(out)
+    found, before = summary_in(tmp_path)["parameters"], summary_in(out)
     for ligament, own in before["parameters_after"].items():
         for name, value in own.items():
             low, high = before["parameters_after_ci95"][ligament][name]
@@ -105,7 +99,7 @@ def test_a_knee_of_another_side_place_and_names(tmp_path: Path) -> None:
     path = ik.write_laxity(data, tmp_path / "data.csv")
     result = run("diagnose", subject, path, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    summary = _summary(tmp_path / "out")
+    summary = summary_in(tmp_path / "out")
     # Curves this short do not show their noise, and a verdict may hang on what is stated of it.
     assert summary["verdict"] in {"ADEQUATE", "NOT_TESTABLE"}
     assert summary["causes"] == []
@@ -137,7 +131,7 @@ def test_trials_say_what_they_could_tell_before_any_data(
     assert result.exit_code == 0, result.output
     made = ik.diagnose(ik.reference_knee(), protocol=protocol, noise="0.3mm,0.3deg")
     assert said(ik.load(tmp_path)) == said(made)
-    summary = _summary(tmp_path)
+    summary = summary_in(tmp_path)
     assert summary["effects"][FRAME]["detectable"] > 0
     assert len(summary["groups"]) == 2
     for group in summary["groups"]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runs import run
+from cli_runs import run, summary_in
 from typing_extensions import override
 
 from identknee.cli import app
@@ -104,6 +104,6 @@ def test_a_misfit_that_is_no_noise_ends_with_1_and_its_results(tmp_path: Path) -
     words = ["--noise", "0.01mm,0.01deg", "--start", start, *fixed]
     result = run("fit", "reference", tmp_path / "data" / "laxity.csv", *words, "--out", tmp_path)
     assert result.exit_code == 1, result.output
-    found = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["findings"]
+    found = summary_in(tmp_path)["findings"]
     assert "misfit-gross" in [x["code"] for x in found]
     assert "misfit-gross" in result.stderr

@@ -4,12 +4,11 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 from held import fixing
 
 import identknee as ik
@@ -24,17 +23,12 @@ def noise_free(folder: Path) -> Path:
     return ik.write_laxity(simulation.laxity, folder / "data.csv")
 
 
-def summary_of(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    return content
-
-
 def test_noise_free_data_give_back_their_parameters(tmp_path: Path) -> None:
     result = run(
         "fit", "reference", noise_free(tmp_path), "--start", "IG3", "--out", tmp_path / "fit"
     )
     assert result.exit_code == 0, result.output
-    summary = summary_of(tmp_path / "fit")
+    summary = summary_in(tmp_path / "fit")
     assert summary["outcome"] == "minimum"
     assert set(summary["parameters"]) == {"ACL", "PCL", "LCL", "MCL"}
     for ligament in ik.reference_knee().ligaments:
@@ -67,7 +61,7 @@ def test_the_arrays_hold_the_fit(tmp_path: Path) -> None:
 def test_fixed_parameters_stay_and_bounds_hold(tmp_path: Path) -> None:
     words = ["--fix", "PCL.stiffness_kN", "--bounds", "ACL.stiffness_kN=5:9.9"]
     run("fit", "reference", noise_free(tmp_path), "--start", "IG2", *words, "--out", tmp_path)
-    summary = summary_of(tmp_path)
+    summary = summary_in(tmp_path)
     assert summary["parameters"]["PCL"]["stiffness_kN"] == 17.5
     assert summary["parameters"]["ACL"]["stiffness_kN"] <= 9.9
     assert summary["search"]["fixed"] == ["PCL.stiffness_kN"]
@@ -78,7 +72,7 @@ def test_a_search_ends_at_its_budget_and_repeats_with_its_seed(tmp_path: Path) -
     words = ["fit", "reference", data, "--method", "complex", "--budget", "30", "--seed", "5"]
     for name in ("a", "b"):
         assert run(*words, "--start", "IG4", "--out", tmp_path / name).exit_code == 0
-    first, second = summary_of(tmp_path / "a"), summary_of(tmp_path / "b")
+    first, second = summary_in(tmp_path / "a"), summary_in(tmp_path / "b")
     assert first["outcome"] == "budget"
     assert first["n_simulations"] == 30
     assert first["parameters"] == second["parameters"]
@@ -93,7 +87,7 @@ def test_noise_weighting_and_priors_run_on_noisy_data(tmp_path: Path) -> None:
     )
     assert result.exit_code == 0, result.output
     # Five standard errors of the RMSE of 189 and 126 values with sd 0.3.
-    summary = summary_of(tmp_path / "fit")
+    summary = summary_in(tmp_path / "fit")
     assert summary["rmse"]["mm"] == pytest.approx(0.3, abs=5 * 0.3 / np.sqrt(2 * 189))
     assert summary["rmse"]["deg"] == pytest.approx(0.3, abs=5 * 0.3 / np.sqrt(2 * 126))
 
@@ -113,7 +107,7 @@ def test_no_ligament_name_or_number_is_built_in(tmp_path: Path) -> None:
     data = tmp_path / "d" / "laxity.csv"
     result = run("fit", tmp_path / "subject", data, "--start", start, "--out", tmp_path / "fit")
     assert result.exit_code == 0, result.output
-    summary = summary_of(tmp_path / "fit")
+    summary = summary_in(tmp_path / "fit")
     assert set(summary["parameters"]) == {*(f"line {i}" for i in range(4)), "bündel"}
     assert summary["rmse"]["deg"] < 1e-3
     assert re.search(r"IG1\b.*\bACL\b", refused_fit(tmp_path / "subject", data, tmp_path))
@@ -136,7 +130,7 @@ def test_a_start_without_prediction_ends_with_1(tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert "nothing-fitted" in result.stderr
     assert "another --start" in result.stdout
-    summary = summary_of(tmp_path / "fit")
+    summary = summary_in(tmp_path / "fit")
     assert summary["outcome"] == "start_failed"
     assert summary["objective"] is None
     # A start is no fit, on the terminal as in the file.
@@ -202,12 +196,12 @@ def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
     mirrored = replace(measured, coordinates=measured.coordinates * [1.0, 1.0, 1.0, 1.0, -1.0])
     data = ik.write_laxity(mirrored, tmp_path / "mirrored.csv")
     right = run("fit", "reference", tmp_path / "data" / "laxity.csv", "--out", tmp_path / "right")
-    assert summary_of(tmp_path / "right")["findings"] == []
+    assert summary_in(tmp_path / "right")["findings"] == []
     assert "good fit" in right.stdout
     wrong = run("fit", "reference", data, "--start", "IG2", "--out", tmp_path / "wrong")
     # Nothing fitted to such a table holds; the results are written to show why.
     assert wrong.exit_code == 1
-    summary = summary_of(tmp_path / "wrong")
+    summary = summary_in(tmp_path / "wrong")
     assert summary["rmse"]["deg"] > 5.0
     found = {x["code"]: x for x in summary["findings"]}
     assert summary["findings"][0]["code"] == "broken-convention"

@@ -1,11 +1,10 @@
 """`identknee information`, from its words to its files and sentences."""
 
-import json
 from pathlib import Path
 
 import pytest
 import xarray
-from cli_runs import refused, run
+from cli_runs import refused, run, summary_in
 
 import identknee as ik
 
@@ -25,7 +24,7 @@ def test_what_is_known_is_said_in_words_and_files(noisy: Path, tmp_path: Path) -
     words = ("information", "reference", noisy, *HELD, "--scaling", "prior", "--out", tmp_path)
     result = run(*words)
     assert result.exit_code == 0, result.output
-    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path)
     assert summary["scaling"] == "prior"
     assert summary["n_above_noise"] == 6
     assert "PCL.stiffness_kN" not in summary["sd"]

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 
 import identknee as ik
 from identknee.laxity.named_tables import TABLES
@@ -42,7 +42,7 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
     result = run("simulate", "lenhart2015_stable", *words)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
-    summary = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path / "out")
     assert summary["subject"] == "lenhart2015_stable"
     assert summary["record"]["settings"]["subject"] == "lenhart2015_stable"
 
@@ -51,7 +51,7 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
 def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
     words = ("--budget", 5, "--more-starts", 0, "--out", tmp_path)
     run("fit", "s192803", "s192803", *words)
-    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path)
     assert summary["rmse"]["n_compared"] + summary["rmse"]["n_missing"] == 120
     assert summary["record"]["settings"]["data"] == "s192803"
     assert summary["record"]["inputs"]["data"] == digest(TABLES["s192803"])

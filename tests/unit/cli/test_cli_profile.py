@@ -1,13 +1,11 @@
 """`identknee profile`, from its words to its files and sentences."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import xarray
-from cli_runs import refused, run
+from cli_runs import refused, run, summary_in
 from held import both_of, fixing
 from scipy.stats import chi2
 
@@ -28,11 +26,6 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ik.write_laxity(noisy, tmp_path_factory.mktemp("profile") / "data.csv")
 
 
-def _summary(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    return content
-
-
 def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> None:
     trial = ik.read_laxity(noisy).protocol.trials[0]
     result = run(
@@ -40,7 +33,7 @@ def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> Non
         *("--quantity", f"varus_deg@{trial}", "--forces", trial),
     )
     assert result.exit_code == 0, result.output
-    summary = _summary(tmp_path)
+    summary = summary_in(tmp_path)
     assert list(summary["parameters"]) == ["LCL.stiffness_kN", "LCL.reference_strain_pct"]
     for entry in summary["parameters"].values():
         assert {"lower", "upper", "lower_status", "upper_status"} < set(entry)
@@ -95,18 +88,18 @@ def test_a_trial_without_prediction_at_the_fit_is_named(noisy: Path, tmp_path: P
 def test_the_same_command_again_resumes_to_the_same(noisy: Path, tmp_path: Path) -> None:
     words = ("profile", "reference", noisy, *TWO, *HELD, "--out", tmp_path)
     assert run(*words).exit_code == 0
-    first = _summary(tmp_path)["parameters"]
+    first = summary_in(tmp_path)["parameters"]
     assert run(*words).exit_code == 0
-    assert _summary(tmp_path)["parameters"] == first
+    assert summary_in(tmp_path)["parameters"] == first
     assert run(*words, "--level", "0.9").exit_code == 0
-    assert _summary(tmp_path)["parameters"] != first
+    assert summary_in(tmp_path)["parameters"] != first
 
 
 def test_at_a_rejected_fit_nothing_is_known(noisy: Path, tmp_path: Path) -> None:
     """The noise is stated to half of what it is; as it is, nothing is conditional."""
     words = ("profile", "reference", noisy, *TWO, *HELD)
     result = run(*words, "--noise", "0.25mm,0.25deg", "--out", tmp_path / "half")
-    summary = _summary(tmp_path / "half")
+    summary = summary_in(tmp_path / "half")
     assert summary["conditional_on_misfit"] is True
     (found,) = [x for x in summary["findings"] if x["code"] == "conditional-on-misfit"]
     n = int(ik.read_laxity(noisy).is_measured.sum())
@@ -125,7 +118,7 @@ def test_at_a_rejected_fit_nothing_is_known(noisy: Path, tmp_path: Path) -> None
     assert " known" not in result.stdout.replace("no value is known", "")
 
     run(*words, "--out", tmp_path / "whole")
-    whole = _summary(tmp_path / "whole")
+    whole = summary_in(tmp_path / "whole")
     assert whole["conditional_on_misfit"] is False
     assert [x["conditional_on_misfit"] for x in whole["parameters"].values()] == [False, False]
 

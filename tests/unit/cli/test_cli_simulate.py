@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 
 import identknee as ik
 from identknee.laxity.table import write_laxity
@@ -55,7 +55,7 @@ def test_the_summary_has_the_keys_others_rely_on(tmp_path: Path) -> None:
     short = short_protocol(tmp_path)
     result = run("simulate", "reference", "--protocol", short, "--out", tmp_path, "--json")
     summary = json.loads(result.stdout)
-    assert summary == json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert summary == summary_in(tmp_path)
     assert summary["n_trials"] == summary["n_converged"] == 10
     assert summary["parameters"]["PCL"] == {"stiffness_kN": 18.0, "reference_strain_pct": -4.0}
     assert {"trial", "outcome", "reason"} <= set(summary["trials"][0])
@@ -110,7 +110,7 @@ def test_a_trial_without_equilibrium_is_blank_and_explained(tmp_path: Path) -> N
     ]
     result = run(*words, *(word for value in lax for word in ("--set", value)))
     assert result.exit_code == 0, result.output
-    summary = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    summary = summary_in(tmp_path)
     table = ik.read_laxity(tmp_path / "laxity.csv")
     failed = [x["outcome"] != "converged" for x in summary["trials"]]
     assert 0 < sum(failed) < 63

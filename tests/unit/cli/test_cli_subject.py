@@ -3,27 +3,21 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 from osim_files import write_model
 
 import identknee as ik
-
-
-def summary_of(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    return content
 
 
 def test_the_reference_knee_passes_its_check(tmp_path: Path) -> None:
     words = ["--protocol", short_protocol(tmp_path), "--samples", "5", "--workers", "2"]
     result = run("subject", "check", "reference", *words, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    summary = summary_of(tmp_path / "out")
+    summary = summary_in(tmp_path / "out")
     assert summary["n_errors"] == 0
     assert summary["stability"]["n_converged"] == 10
     assert sum(summary["stability"]["box_outcomes"].values()) == 50
@@ -38,7 +32,7 @@ def test_a_knee_that_cannot_be_held_ends_with_1_and_a_remedy(tmp_path: Path) -> 
     words = ["--protocol", short_protocol(tmp_path), "--samples", "0", "--out", tmp_path / "out"]
     result = run("subject", "check", tmp_path / "slack", *words)
     assert result.exit_code == 1
-    summary = summary_of(tmp_path / "out")
+    summary = summary_in(tmp_path / "out")
     assert summary["n_errors"] == 1
     (error,) = [x for x in summary["findings"] if x["severity"] == "error"]
     assert error["code"] == "trials-not-converging"
@@ -67,7 +61,7 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
     result = run("subject", "show", "reference", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert (tmp_path / "scene.png").read_bytes().startswith(b"\x89PNG")
-    assert summary_of(tmp_path)["subject"] == "reference"
+    assert summary_in(tmp_path)["subject"] == "reference"
 
 
 def test_an_exported_subject_reads_back_as_the_same_knee(tmp_path: Path) -> None:
@@ -146,13 +140,13 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
     assert checked.exit_code == 1
     assert "(flexion0_internal4Nm, flexion0_internal6Nm" in checked.stdout
     assert "subject settle" in checked.stdout
-    found = summary_of(tmp_path / "check")
+    found = summary_in(tmp_path / "check")
     assert "trials-not-converging" in {x["code"] for x in found["findings"]}
     assert len(found["stability"]["moves"]) == 48
     out = tmp_path / "settled"
     settled = run("subject", "settle", *words, "--within", "5", "--out", out)
     assert settled.exit_code == 0, settled.output
-    summary = summary_of(out)
+    summary = summary_in(out)
     assert summary["n_converged_after"] == summary["n_trials"] > summary["n_converged_before"]
     knee, moved = ik.read_subject("lenhart2015"), ik.read_subject(out)
     distances = {(x["ligament"], x["bone"]): x["distance_mm"] for x in summary["moved"]}
@@ -190,7 +184,7 @@ def test_what_an_import_left_out_is_printed_and_stored(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     for word in ("ACL (Blankevoort1991Ligament)", "CoordinateLimitForce", "limit"):
         assert word in result.stdout
-    told = {x["kind"]: x for x in summary_of(tmp_path / "out")["left_out"]}
+    told = {x["kind"]: x for x in summary_in(tmp_path / "out")["left_out"]}
     assert told["Blankevoort1991Ligament"]["names"] == ["ACL"]
     assert told["Blankevoort1991Ligament"]["change"] == "left out"
     assert told["CoordinateLimitForce"]["names"] == ["limit"]

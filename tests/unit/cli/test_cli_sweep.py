@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import xarray
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 
 NOISE = ("--noise", "0.5mm,0.5deg")
 SHORT = ("--n-starts", 12, "--paths", 4, *NOISE)
@@ -24,7 +24,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def summary(folder: Path) -> dict[str, Any]:
     """Its result without what differs from run to run."""
-    found: dict[str, Any] = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    found: dict[str, Any] = summary_in(folder)
     for name in ("record", "seconds", "seconds_per_start"):
         del found[name]
     return found
@@ -85,7 +85,7 @@ def test_a_sweep_that_finds_nothing_is_not_computed(data: Path, tmp_path: Path) 
     words = ("--n-starts", 2, "--noise", "0.5mm,0.5deg", "--start", _slack_start(tmp_path))
     result = run("sweep", "reference", data, *words, *slack, "--out", tmp_path)
     assert result.exit_code == 1, result.output
-    found = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    found = summary_in(tmp_path)
     assert "no-prediction" in {x["code"] for x in found["findings"]}
     assert "no-prediction" in result.stderr
     assert "the start" in result.stdout

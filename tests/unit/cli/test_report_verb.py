@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cli_runs import refused, run, short_protocol
+from cli_runs import refused, run, short_protocol, summary_in
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) ->
 
 def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "fit", tmp_path, dirs_exist_ok=True)
-    kept = json.loads((folder / "fit" / "result.json").read_text(encoding="utf-8"))
+    kept = summary_in(folder / "fit")
     for subject, why in ((str(tmp_path / "gone"), "gone"), ("reference", "has changed since")):
         kept["record"]["settings"]["subject"] = subject
         kept["record"]["inputs"]["subject"] = "0" * 64

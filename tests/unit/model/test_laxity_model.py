@@ -10,7 +10,6 @@ import oracle
 import pytest
 from energy_evaluation import SCALE, Evaluator, ligaments_of, random_parameters
 from narrow_knee import narrow_knee
-from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE, RESIDUAL_N, SAME_MARGIN, SAME_POSE
 
 from identknee.laxity.protocol import Protocol, load_protocol
@@ -35,14 +34,6 @@ TRIAL_OUTCOMES = {
 }
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> LaxityModel:
-    cache = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(joint, "cache_folder", lambda: cache)
-        return LaxityModel(knee=small_knee(), protocol=small_protocol())
-
-
 def _wide(model: LaxityModel, n: int, seed: int) -> Array:
     """Parameter vectors from the whole box."""
     return np.random.default_rng(seed).uniform(
@@ -62,7 +53,7 @@ def _touching(model: LaxityModel, prediction: Prediction) -> list[frozenset[int]
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("name", ["reference_model", "small"])
+@pytest.mark.parametrize("name", ["reference_model", "small_model"])
 def test_the_jacobian_is_the_slope_of_the_coordinates(
     name: str, seed: int, request: pytest.FixtureRequest
 ) -> None:
@@ -86,9 +77,9 @@ def test_the_jacobian_is_the_slope_of_the_coordinates(
     assert left_out <= 0.05 * model.protocol.n * model.parameters.n
 
 
-def test_without_derivatives_there_is_no_jacobian(small: LaxityModel) -> None:
-    with_it = small.predict(small.parameters.center)
-    without = small.predict(small.parameters.center, derivatives=False)
+def test_without_derivatives_there_is_no_jacobian(small_model: LaxityModel) -> None:
+    with_it = small_model.predict(small_model.parameters.center)
+    without = small_model.predict(small_model.parameters.center, derivatives=False)
     assert without.jacobian is None
     np.testing.assert_array_equal(with_it.coordinates, without.coordinates)
 
@@ -175,22 +166,22 @@ def test_a_trial_does_not_depend_on_the_others(
         assert found.jacobian == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
 
-def test_a_lost_trial_does_not_lose_the_others(small: LaxityModel) -> None:
+def test_a_lost_trial_does_not_lose_the_others(small_model: LaxityModel) -> None:
     far = Protocol(
         name="far",
         trials=("pulled apart",),
         flexion_deg=np.array([0.0]),
         loads=np.array([[0.0, 0.0, 0.0, 900.0, 0.0]]),
     )
-    trials = (*small.protocol.trials, *far.trials)
+    trials = (*small_model.protocol.trials, *far.trials)
     both = Protocol(
         name="both",
         trials=trials,
-        flexion_deg=np.r_[small.protocol.flexion_deg, far.flexion_deg],
-        loads=np.r_[small.protocol.loads, far.loads],
+        flexion_deg=np.r_[small_model.protocol.flexion_deg, far.flexion_deg],
+        loads=np.r_[small_model.protocol.loads, far.loads],
     )
-    slack = small.parameters.center * np.r_[np.full(4, 0.2), np.ones(4)]
-    alone, together = small.predict(slack), small.with_protocol(both).predict(slack)
+    slack = small_model.parameters.center * np.r_[np.full(4, 0.2), np.ones(4)]
+    alone, together = small_model.predict(slack), small_model.with_protocol(both).predict(slack)
     assert together.outcomes[:-1] == alone.outcomes
     difference = (together.poses[:-1] - alone.poses) * SCALE
     assert np.abs(difference[alone.is_converged]).max() <= SAME_POSE
@@ -300,11 +291,11 @@ def test_residuals_go_on_smoothly_where_contact_comes_near_a_rim() -> None:
         assert np.abs(two.coordinates - one.coordinates - mean).max() < 0.02
 
 
-def test_without_ligaments_every_trial_says_so(small: LaxityModel) -> None:
-    found = small.predict(small.parameters.center * np.r_[np.zeros(4), np.ones(4)])
+def test_without_ligaments_every_trial_says_so(small_model: LaxityModel) -> None:
+    found = small_model.predict(small_model.parameters.center * np.r_[np.zeros(4), np.ones(4)])
     assert not found.is_converged.any()
     assert set(found.outcomes) <= {Outcome.UNCONSTRAINED, Outcome.NO_EQUILIBRIUM}
-    assert np.isnan(tensions_of(small, found)).all()
+    assert np.isnan(tensions_of(small_model, found)).all()
 
 
 def test_codes_name_the_kernels_outcomes() -> None:
@@ -315,8 +306,8 @@ def test_codes_name_the_kernels_outcomes() -> None:
 # --- what it says -------------------------------------------------------------------------------
 
 
-def test_coordinates_are_those_of_the_poses(small: LaxityModel) -> None:
-    found = small.predict(small.parameters.center)
+def test_coordinates_are_those_of_the_poses(small_model: LaxityModel) -> None:
+    found = small_model.predict(small_model.parameters.center)
     np.testing.assert_array_equal(found.coordinates, coordinates_from_pose(found.poses))
 
 
@@ -338,37 +329,39 @@ def test_tensions_are_those_of_equation_3(
             assert tensions[trial, i] == pytest.approx(expected, rel=1e-9)
 
 
-def test_simulated_laxity_is_the_prediction(small: LaxityModel) -> None:
-    laxity = small.simulate(small.parameters.center)
-    found = small.predict(small.parameters.center)
+def test_simulated_laxity_is_the_prediction(small_model: LaxityModel) -> None:
+    laxity = small_model.simulate(small_model.parameters.center)
+    found = small_model.predict(small_model.parameters.center)
     np.testing.assert_array_equal(laxity.coordinates, found.coordinates)
-    assert laxity.protocol is small.protocol
+    assert laxity.protocol is small_model.protocol
     assert laxity.sd is None
 
 
-def test_all_vertices_can_be_asked_for(small: LaxityModel) -> None:
-    few, whole = replace(small, n_points=300), replace(small, n_points=None)
+def test_all_vertices_can_be_asked_for(small_model: LaxityModel) -> None:
+    few, whole = replace(small_model, n_points=300), replace(small_model, n_points=None)
     assert len(few.joint.contact.points) < 320
     assert len(whole.joint.contact.points) == 1250
-    theta = small.parameters.center
+    theta = small_model.parameters.center
     difference = few.predict(theta).coordinates - whole.predict(theta).coordinates
     # Patches of 2 mm2 on dishes of 25 mm radius.
     assert np.abs(difference).max() < 0.2
 
 
-def test_a_single_step_lands_on_the_same_branch_where_loads_are_small(small: LaxityModel) -> None:
-    single = replace(small, continuation="single-step")
+def test_a_single_step_lands_on_the_same_branch_where_loads_are_small(
+    small_model: LaxityModel,
+) -> None:
+    single = replace(small_model, continuation="single-step")
     assert (single.paths.parent == -1).all()
-    theta = small.parameters.center
-    difference = (single.predict(theta).poses - small.predict(theta).poses) * SCALE
+    theta = small_model.parameters.center
+    difference = (single.predict(theta).poses - small_model.predict(theta).poses) * SCALE
     assert np.abs(difference).max() <= SAME_POSE
 
 
-def test_predictions_can_not_be_written_to(small: LaxityModel) -> None:
-    theta = np.array(small.parameters.center)
-    found = small.predict(theta)
+def test_predictions_can_not_be_written_to(small_model: LaxityModel) -> None:
+    theta = np.array(small_model.parameters.center)
+    found = small_model.predict(theta)
     theta[0] = 1.0
-    assert found.theta[0] == small.parameters.center[0]
+    assert found.theta[0] == small_model.parameters.center[0]
     with pytest.raises(ValueError, match="read-only"):
         found.coordinates[0] = 0.0
 
@@ -376,45 +369,47 @@ def test_predictions_can_not_be_written_to(small: LaxityModel) -> None:
 # --- what it refuses ----------------------------------------------------------------------------
 
 
-def test_a_theta_of_the_wrong_length_is_refused(small: LaxityModel) -> None:
+def test_a_theta_of_the_wrong_length_is_refused(small_model: LaxityModel) -> None:
     with pytest.raises(ValueError, match=r"theta.*\b8\b.*front\.sti"):
-        small.predict(np.ones(7))
+        small_model.predict(np.ones(7))
 
 
 @pytest.mark.parametrize(("index", "value"), [(1, -0.1), (6, -100.0), (0, np.nan), (7, np.inf)])
 def test_values_out_of_range_are_refused_by_name(
-    small: LaxityModel, index: int, value: float
+    small_model: LaxityModel, index: int, value: float
 ) -> None:
-    theta = np.array(small.parameters.center)
+    theta = np.array(small_model.parameters.center)
     theta[index] = value
-    named = re.escape(f"{small.parameters.names[index]} is {value:g}: stiffness must be finite")
+    named = re.escape(
+        f"{small_model.parameters.names[index]} is {value:g}: stiffness must be finite"
+    )
     with pytest.raises(ValueError, match=named):
-        small.predict(theta)
+        small_model.predict(theta)
 
 
-def test_mesh_contact_has_no_derivatives(small: LaxityModel) -> None:
-    mesh = replace(small, contact="mesh")
+def test_mesh_contact_has_no_derivatives(small_model: LaxityModel) -> None:
+    mesh = replace(small_model, contact="mesh")
     with pytest.raises(ValueError, match=r"mesh.*derivatives"):
-        mesh.predict(small.parameters.center)
+        mesh.predict(small_model.parameters.center)
 
 
 # --- a knee with other ligaments ----------------------------------------------------------------
 
 
-def test_any_number_of_ligaments_with_any_names(small: LaxityModel, tmp_path: Path) -> None:
+def test_any_number_of_ligaments_with_any_names(small_model: LaxityModel, tmp_path: Path) -> None:
     """Each ligament twice at half its stiffness is the same knee; one more that is slack too."""
     halves = tuple(
         replace(x, name=f"{x.name} {part}", stiffness_kN=x.stiffness_kN / 2)
-        for x in small.knee.ligaments
+        for x in small_model.knee.ligaments
         for part in ("a", "b")
     )
     loose = replace(halves[0], name="loose", reference_strain_pct=-60.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(joint, "cache_folder", lambda: tmp_path)
-        many = replace(small, knee=small.knee.with_ligaments((*halves, loose)))
+        many = replace(small_model, knee=small_model.knee.with_ligaments((*halves, loose)))
     assert many.parameters.n == 18
     found = many.predict(many.parameters.center)
-    expected = small.predict(small.parameters.center)
+    expected = small_model.predict(small_model.parameters.center)
     assert np.abs((found.poses - expected.poses) * SCALE).max() <= SAME_POSE
     assert found.jacobian is not None
     assert expected.jacobian is not None
@@ -424,10 +419,10 @@ def test_any_number_of_ligaments_with_any_names(small: LaxityModel, tmp_path: Pa
     assert not found.jacobian[:, :, [8, 17]].any()
 
 
-def test_a_trial_without_a_pose_has_no_slope_and_spoils_no_other(small: LaxityModel) -> None:
+def test_a_trial_without_a_pose_has_no_slope_and_spoils_no_other(small_model: LaxityModel) -> None:
     # Nothing resists: the Hessian of the lost trial is singular.
-    model = replace(small, effects=(compression(),))
-    theta = np.r_[np.zeros(4), small.parameters.center[4:], 0.0]
+    model = replace(small_model, effects=(compression(),))
+    theta = np.r_[np.zeros(4), small_model.parameters.center[4:], 0.0]
     found = model.predict(theta)
     assert found.pose_jacobian is not None
     assert not found.is_converged.any()

@@ -2,15 +2,12 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from small_knee import small_knee, small_protocol
 from tolerances import DIFFERENCE
 
 from identknee.laxity.table import Laxity, add_noise, relative_to_unloaded
-from identknee.model import laxity_model as joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, Weighting
 from identknee.runs.arrays import Array
@@ -19,11 +16,8 @@ SHIFT = np.array([1.0, -2.0, 3.0, 4.0, -5.0])
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> LaxityModel:
-    cache: Path = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(joint, "cache_folder", lambda: cache)
-        return LaxityModel(knee=small_knee(), protocol=small_protocol())
+def model(small_model: LaxityModel) -> LaxityModel:
+    return small_model
 
 
 @pytest.fixture(scope="module")
