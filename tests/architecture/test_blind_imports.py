@@ -1,21 +1,21 @@
 """The generator of blind data shares no code with the model, but for what both are given."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
+from package_trees import ROOT, nodes_of
 
-import identknee
-
-ROOT = Path(identknee.__file__).parent
 SHARED = {"subject", "laxity", "runs"}
 TESTED = ("mechanics", "model", "calibrate", "identify", "checks", "diagnosis", "verbs", "report")
 
 
+@cache
 def _imports(path: Path) -> set[str]:
     """Modules of identknee that a file imports, at its top or inside a function."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -8,11 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from package_trees import MODULES, ROOT, nodes_of, tree_of
 
-import identknee
-
-ROOT = Path(identknee.__file__).parent
-MODULES = sorted(ROOT.rglob("*.py"))
 MOST_LINES, MOST_LINES_OF_FUNCTION = 1000, 100
 # Longer, each for its reason.
 LONG_MODULES: dict[str, str] = {}
@@ -27,10 +24,6 @@ def _name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def test_no_module_is_long_without_a_reason() -> None:
     lengths = {_name(x): len(x.read_text(encoding="utf-8").splitlines()) for x in MODULES}
     long = {name for name, length in lengths.items() if length > MOST_LINES}
@@ -41,7 +34,7 @@ def test_no_function_is_long_without_a_reason() -> None:
     """From its name to its last line, docstring left out."""
     long = set()
     for path in MODULES:
-        for node in ast.walk(_tree(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 first = node.body[1 if ast.get_docstring(node) and len(node.body) > 1 else 0]
                 if (node.end_lineno or 0) - first.lineno + 1 > MOST_LINES_OF_FUNCTION:
@@ -50,7 +43,7 @@ def test_no_function_is_long_without_a_reason() -> None:
 
 
 def test_docstrings_name_errors_that_exist() -> None:
-    nodes = [(path, node) for path in MODULES for node in ast.walk(_tree(path))]
+    nodes = [(path, node) for path in MODULES for node in nodes_of(path)]
     known = {node.name for _, node in nodes if isinstance(node, ast.ClassDef)} | set(dir(builtins))
     unknown = set()
     for path, node in nodes:
@@ -70,7 +63,7 @@ def test_docstrings_name_errors_that_exist() -> None:
 def test_packages_hold_their_docstring_and_at_most_a_stub(path: Path) -> None:
     """The names of a package stand in its stub alone."""
     if path.parent != ROOT:
-        names = [ast.unparse(x) for x in _tree(path).body[1:]]
+        names = [ast.unparse(x) for x in tree_of(path).body[1:]]
         if path.parent.name == "report":  # a package that is also called, as `ik.report`
             names = [x for x in names if x in ATTACHED]
         assert names == (ATTACHED if path.with_suffix(".pyi").exists() else [])

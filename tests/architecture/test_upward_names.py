@@ -6,15 +6,14 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+import package_trees
 import pytest
+from package_trees import ROOT, nodes_of, tree_of
 
-import identknee
-
-ROOT = Path(identknee.__file__).parent
-MODULES = [x for x in sorted(ROOT.rglob("*.py")) if x.parent != ROOT]
+MODULES = [x for x in package_trees.MODULES if x.parent != ROOT]
 PLACE = re.compile(r"identknee\.(\w+)(?:[.:][\w.:]*)?")
 # An optional package of others.
-IMPORTED_BY_NAME = {"calibrate/population.py": "module", "mechanics/object_file.py": "module_name"}
+IMPORTED_BY_NAME = {"calibrate/population.py": "module"}
 
 
 def layers() -> list[str]:
@@ -49,9 +48,7 @@ def texts(tree: ast.Module) -> Iterator[str]:
 @pytest.mark.parametrize("path", MODULES, ids=lambda x: x.relative_to(ROOT).as_posix())
 def test_no_text_is_the_name_of_something_above(path: Path) -> None:
     own = height(path.relative_to(ROOT).parts[0])
-    named = [
-        x[1] for text in texts(ast.parse(path.read_text("utf-8"))) if (x := PLACE.fullmatch(text))
-    ]
+    named = [x[1] for text in texts(tree_of(path)) if (x := PLACE.fullmatch(text))]
     packages = [x for x in named if (ROOT / x).is_dir()]
     assert [x for x in packages if height(x) < own] == []
 
@@ -59,7 +56,7 @@ def test_no_text_is_the_name_of_something_above(path: Path) -> None:
 def test_modules_of_the_package_are_not_imported_by_name() -> None:
     found = {}
     for path in MODULES:
-        for x in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for x in nodes_of(path):
             if isinstance(x, ast.Call) and "import_module" in ast.unparse(x.func):
                 found[path.relative_to(ROOT).as_posix()] = ast.unparse(x.args[0])
-    assert set(found.items()) <= set(IMPORTED_BY_NAME.items())
+    assert found == IMPORTED_BY_NAME

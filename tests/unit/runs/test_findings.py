@@ -2,12 +2,12 @@
 
 import ast
 import re
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
+from package_trees import MODULES, nodes_of
 
-import identknee as ik
 from identknee.runs.findings import (
     KINDS,
     Finding,
@@ -19,8 +19,8 @@ from identknee.runs.findings import (
 )
 from identknee.runs.schema import from_plain, summary_of
 
-PACKAGE = Path(ik.__file__).parent
 MAKERS = {"finding", "geometry_finding", "trial_findings"}
+CLASSES = {"Finding", "GeometryFinding"}
 # A sentence is made for a person, and never read by the package.
 TAKEN_APART = re.compile(
     r"sentence\.(r?partition|r?split|startswith|endswith|remove\w+|r?strip|r?find|r?index)\("
@@ -28,20 +28,25 @@ TAKEN_APART = re.compile(
 )
 
 
-def calls() -> Iterator[tuple[Path, ast.Call, str]]:
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                yield path, node, node.func.id
+@cache
+def calls() -> tuple[tuple[Path, ast.Call, str], ...]:
+    """Where findings are made, and by what."""
+    return tuple(
+        (path, node, node.func.id)
+        for path in MODULES
+        for node in nodes_of(path)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        if node.func.id in (*MAKERS, *CLASSES)
+    )
 
 
 def words() -> set[str]:
     """All texts of the package but those of the registry."""
     return {
         node.value
-        for path in PACKAGE.rglob("*.py")
-        if path.name != "finding_kinds.py"
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path in MODULES
+        if path.name != "findings.py"
+        for node in nodes_of(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
 
@@ -61,14 +66,14 @@ def test_every_kind_is_registered_once_and_made_somewhere() -> None:
 
 
 def test_checks_make_findings_with_their_code_only() -> None:
-    made = {path.name for path, _, name in calls() if name in ("Finding", "GeometryFinding")}
+    made = {path.name for path, _, name in calls() if name in CLASSES}
     assert made <= {"findings.py", "check.py"}
 
 
 def test_no_code_takes_a_sentence_apart() -> None:
     found = [
         f"{path.name}: {match[0]}"
-        for path in PACKAGE.rglob("*.py")
+        for path in MODULES
         for match in TAKEN_APART.finditer(path.read_text(encoding="utf-8"))
     ]
     assert found == []
