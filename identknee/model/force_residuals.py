@@ -9,7 +9,7 @@ from identknee.laxity.forces import MeasuredForces
 from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.experiments import gone_in, members_of
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import structure_loads, structure_values
+from identknee.model.line_loads import structure_loads, values_of_structures
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import CONTACT, quantity_place
 from identknee.runs.arrays import Array, IntArray, short_repr
@@ -76,14 +76,14 @@ class ForceResiduals:
     def predicted(self, theta: Array) -> Array:
         """The forces of all trials, shape ``(trials, forces)``; NaN without an equilibrium."""
         prediction = self.model.predict_once(theta)
-        contact = contact_values(prediction)[:, :, 0]
-        columns = [
-            contact[:, i]
-            if kind == CONTACT
-            else structure_values(self.model, prediction, name.rpartition(".")[0])[0]
-            for name, (kind, i) in zip(self.forces.names, self._places, strict=True)
-        ]
-        return np.stack(columns, axis=1)
+        is_contact = np.array([kind == CONTACT for kind, _ in self._places])
+        of_contact = [i for kind, i in self._places if kind == CONTACT]
+        values = np.empty(self.forces.values.shape)
+        values[:, is_contact] = contact_values(prediction)[:, of_contact, 0]
+        if not is_contact.all():
+            names = [x.rpartition(".")[0] for x in np.array(self.forces.names)[~is_contact]]
+            values[:, ~is_contact] = values_of_structures(self.model, prediction, names)[0]
+        return values
 
     def residuals(self, theta: Array) -> Array:
         """Residuals, shape ``(n,)``."""

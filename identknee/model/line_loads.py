@@ -280,25 +280,38 @@ def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
 def structure_values(model: LaxityModel, prediction: Prediction, name: str) -> tuple[Array, Array]:
     """Tension [N] and strain [%] of one structure in every trial, shape ``(n,)`` each.
 
+    As `values_of_structures`.
+    """
+    tensions, strains = values_of_structures(model, prediction, [name])
+    return tensions[:, 0], strains[:, 0]
+
+
+def values_of_structures(
+    model: LaxityModel, prediction: Prediction, names: Sequence[str]
+) -> tuple[Array, Array]:
+    """Tension [N] and strain [%] of k structures in every trial, shape ``(n, k)`` each.
+
     Raises
     ------
     ValueError
-        If the model has no structure of that name.
+        If the model has no structure of a name.
     """
     if model.parts:
-        tension, strain = np.zeros(len(prediction.codes)), np.zeros(len(prediction.codes))
+        shape = len(prediction.codes), len(names)
+        tensions, strains = np.zeros(shape), np.zeros(shape)
         for x in model.parts:
-            own = structure_values(x.model, x.prediction(prediction), name)
-            tension[x.trials], strain[x.trials] = own
-        return tension, strain
-    setting = model.setting(prediction.theta)
+            own = values_of_structures(x.model, x.prediction(prediction), names)
+            tensions[x.trials], strains[x.trials] = own
+        return tensions, strains
     owners = structures(model, prediction.theta)
-    found, k = _of_lines(model, setting, prediction), index_of(name, owners.names, "ligament")
-    tension = found.tensions @ owners.member[:, k]
-    strain = found.strains @ owners.weight[:, k] / PER_PCT
-    for values_of_trials in (tension, strain):
-        values_of_trials[~prediction.is_converged] = np.nan
-    return tension, strain
+    found = _of_lines(model, model.setting(prediction.theta), prediction)
+    chosen = [index_of(x, owners.names, "ligament") for x in names]
+    # Each by itself: its last digit is then the same whatever it is asked for with.
+    tensions = np.column_stack([found.tensions @ owners.member[:, k] for k in chosen])
+    strains = np.column_stack([found.strains @ owners.weight[:, k] for k in chosen]) / PER_PCT
+    for values in (tensions, strains):
+        values[~prediction.is_converged] = np.nan
+    return tensions, strains
 
 
 def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Array]:

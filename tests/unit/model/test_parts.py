@@ -15,7 +15,12 @@ from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import structure_loads, structure_names, structure_values
+from identknee.model.line_loads import (
+    structure_loads,
+    structure_names,
+    structure_values,
+    values_of_structures,
+)
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, largest_loads, shared_errors
 from identknee.runs.arrays import Array
@@ -138,12 +143,11 @@ def test_derivatives_by_all_parameters() -> None:
 
 def _values(model: LaxityModel, found: Prediction) -> dict[str, Array]:
     """Coordinates, tensions, strains and contact forces, a row a trial."""
-    names = structure_names(model)
-    loads = np.array([structure_values(model, found, x) for x in names])
+    tensions, strains = values_of_structures(model, found, structure_names(model))
     return {
         "coordinates": found.coordinates,
-        "tension": loads[:, 0].T,
-        "strain": loads[:, 1].T,
+        "tension": tensions,
+        "strain": strains,
         "contact": contact_values(found)[:, :, 0],
     }
 

@@ -13,7 +13,12 @@ from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import structure_loads, structure_names, structure_values
+from identknee.model.line_loads import (
+    structure_loads,
+    structure_names,
+    structure_values,
+    values_of_structures,
+)
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
@@ -86,8 +91,7 @@ MODELS = {"reference": _reference, "bundles": _bundles}
 
 def _values(model: LaxityModel, found: Prediction) -> tuple[Array, Array, Array]:
     """Tensions and strains of all structures, ``(n, k)``, and contact, ``(n, 2, 4)``."""
-    each = [structure_values(model, found, x) for x in structure_names(model)]
-    tensions, strains = (np.column_stack(x) for x in zip(*each, strict=True))
+    tensions, strains = values_of_structures(model, found, structure_names(model))
     return tensions, strains, contact_values(found)
 
 
