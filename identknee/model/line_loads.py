@@ -1,7 +1,8 @@
 """Tensions and strains of lines, ligaments, groups and added structures, with derivatives."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -265,7 +266,7 @@ def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
     That of all its lines where an effect splits it into bundles. NaN in trials that did not
     converge.
     """
-    return _of_ligaments(model, prediction)[0]
+    return _of_trials(_of_ligaments, model, prediction)[0]
 
 
 def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
@@ -274,7 +275,7 @@ def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
     The mean over its lines, weighted by stiffness, where an effect splits it into bundles; negative
     where it is slack. NaN where it is cut through, and in trials that did not converge.
     """
-    return _of_ligaments(model, prediction)[1]
+    return _of_trials(_of_ligaments, model, prediction)[1]
 
 
 def structure_values(model: LaxityModel, prediction: Prediction, name: str) -> tuple[Array, Array]:
@@ -296,39 +297,43 @@ def values_of_structures(
     ValueError
         If the model has no structure of a name.
     """
+    return _of_trials(partial(_of_structures, names), model, prediction)
+
+
+def _of_trials(
+    computed: Callable[[LaxityModel, Prediction], tuple[Array, Array]],
+    model: LaxityModel,
+    prediction: Prediction,
+) -> tuple[Array, Array]:
+    """Two rows of values of every trial, from the parts of a model where it has some."""
     if model.parts:
-        shape = len(prediction.codes), len(names)
-        tensions, strains = np.zeros(shape), np.zeros(shape)
-        for x in model.parts:
-            own = values_of_structures(x.model, x.prediction(prediction), names)
-            tensions[x.trials], strains[x.trials] = own
-        return tensions, strains
+        found = [_of_trials(computed, x.model, x.prediction(prediction)) for x in model.parts]
+        order = np.argsort(np.concatenate([x.trials for x in model.parts]))
+        first, second = (np.concatenate(x)[order] for x in zip(*found, strict=True))
+        return first, second
+    first, second = computed(model, prediction)
+    for values in (first, second):
+        values[~prediction.is_converged] = np.nan
+    return first, second
+
+
+def _of_structures(
+    names: Sequence[str], model: LaxityModel, prediction: Prediction
+) -> tuple[Array, Array]:
     owners = structures(model, prediction.theta)
     found = _of_lines(model, model.setting(prediction.theta), prediction)
     chosen = [index_of(x, owners.names, "ligament") for x in names]
     # Each by itself: its last digit is then the same whatever it is asked for with.
     tensions = np.column_stack([found.tensions @ owners.member[:, k] for k in chosen])
-    strains = np.column_stack([found.strains @ owners.weight[:, k] for k in chosen]) / PER_PCT
-    for values in (tensions, strains):
-        values[~prediction.is_converged] = np.nan
-    return tensions, strains
+    strains = np.column_stack([found.strains @ owners.weight[:, k] for k in chosen])
+    return tensions, strains / PER_PCT
 
 
 def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Array]:
-    if model.parts:
-        shape = len(prediction.codes), len(model.knee.ligaments)
-        tensions, strains = np.zeros(shape), np.zeros(shape)
-        for part in model.parts:
-            own = _of_ligaments(part.model, part.prediction(prediction))
-            tensions[part.trials], strains[part.trials] = own
-        return tensions, strains
     setting, m = model.setting(prediction.theta), len(model.knee.ligaments)
     found, owned = _of_lines(model, setting, prediction), setting.owned(m)
     weight = _normed(owned * setting.share[:, None])
-    tensions, strains = found.tensions @ owned, found.strains @ weight / PER_PCT
-    for x in (tensions, strains):
-        x[~prediction.is_converged] = np.nan
-    return tensions, strains
+    return found.tensions @ owned, found.strains @ weight / PER_PCT
 
 
 def _of_lines(
