@@ -24,15 +24,15 @@ from identknee.laxity.protocol import (
     zero_of_added_trials,
 )
 from identknee.laxity.superposition import state_with
-from identknee.laxity.table import COORDINATES, Laxity
+from identknee.laxity.table import Laxity
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.contact_loads import contact_jacobian, contact_values
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 
@@ -77,9 +77,11 @@ class CandidateLaxity:
     model: LaxityModel = entry("The model of the data")
     laxity: Laxity = entry("The data")
     protocol: Protocol = entry("The trials to choose from")
-    sd: Array = entry(
-        "Standard deviation of each coordinate of an added trial [mm, deg], shape ``(5,)``; "
-        "NaN for those that would not be measured. See `typical_errors`"
+    sd: Array = array(
+        "Standard deviation of each coordinate of an added trial; NaN for those that would not be "
+        "measured. See `typical_errors`",
+        "coordinate",
+        unit=OF_COORDINATE,
     )
     free: FreeParameters = entry(
         "The parameters of the model that vary, and the values of the others"
@@ -87,7 +89,6 @@ class CandidateLaxity:
     _whitening: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sd", frozen(self.sd, len(COORDINATES), name="sd"))
         sd = self.sd[~np.isnan(self.sd)]
         if not sd.size:
             raise ValueError("an added trial must measure at least one coordinate")

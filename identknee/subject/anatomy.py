@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.knee import Frame, Knee, Ligament
 from identknee.subject.surface import Surface
 
@@ -41,41 +41,32 @@ SOFT_ANGLE = 0.1
 
 @declared
 class Compartment:
-    """The places of one side of a knee, in the common frame of the scanned pose [mm], ``(3,)``."""
+    """The places of one side of a knee, in the common frame of the scanned pose."""
 
     side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
     outward: float = entry(
         "1 where the tibial z axis points out of the knee, -1 where it points into it"
     )
-    condyle_centre: Array = entry("Centre of the sphere that fits the posterior condyle")
-    condyle_radius: float = entry("Radius of that sphere")
-    epicondyle: Array = entry("On the line through both condyle centres, at the width of the bone")
-    collateral_femur: Array = entry(
-        "Femoral insertion of the collateral ligament, the subject's own or an estimate"
+    condyle_centre: Array = array(
+        "Centre of the sphere that fits the posterior condyle", "axis", unit="mm"
     )
-    plateau_centre: Array = entry("Centre of area of the tibial surface")
-    anterior_margin: Array = entry("Where the tibial surface reaches furthest forward")
-    posterior_margin: Array = entry("Where it reaches furthest back")
-    outer_margin: Array = entry("Where it reaches furthest out")
-    inner_margin: Array = entry("Where it reaches furthest in")
+    condyle_radius: float = entry("Radius of that sphere")
+    epicondyle: Array = array(
+        "On the line through both condyle centres, at the width of the bone", "axis", unit="mm"
+    )
+    collateral_femur: Array = array(
+        "Femoral insertion of the collateral ligament, the subject's own or an estimate",
+        "axis",
+        unit="mm",
+    )
+    plateau_centre: Array = array("Centre of area of the tibial surface", "axis", unit="mm")
+    anterior_margin: Array = array(
+        "Where the tibial surface reaches furthest forward", "axis", unit="mm"
+    )
+    posterior_margin: Array = array("Where it reaches furthest back", "axis", unit="mm")
+    outer_margin: Array = array("Where it reaches furthest out", "axis", unit="mm")
+    inner_margin: Array = array("Where it reaches furthest in", "axis", unit="mm")
     tibia: Surface = entry("The tibial surface itself")
-
-    def __post_init__(self) -> None:
-        for name in _PLACES:
-            place = frozen(getattr(self, name), 3, name=f"the {self.side} {name}")
-            object.__setattr__(self, name, place)
-
-
-_PLACES = (
-    "condyle_centre",
-    "epicondyle",
-    "collateral_femur",
-    "plateau_centre",
-    "anterior_margin",
-    "posterior_margin",
-    "outer_margin",
-    "inner_margin",
-)
 
 
 @declared
@@ -89,9 +80,11 @@ class Anatomy:
     medial: Compartment = entry("Places of the medial side")
     lateral: Compartment = entry("Places of the lateral side")
     joint_line: float = entry("Mean height of both plateau centres in the tibial frame [mm]")
-    fibular_head: Array = entry(
+    fibular_head: Array = array(
         "Tibial insertion of the lateral collateral ligament, or an estimate from the plateau, in "
-        "the common frame [mm], shape ``(3,)``"
+        "the common frame",
+        "axis",
+        unit="mm",
     )
     medial_collateral: str | None = entry(
         "Name of the subject's own line that is like the medial collateral ligament; None where "
@@ -106,11 +99,6 @@ class Anatomy:
     posterior_cruciate: str | None = entry(
         "Name of the line that is like the posterior cruciate ligament"
     )
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "fibular_head", frozen(self.fibular_head, 3, name="the fibular head")
-        )
 
     @property
     def compartments(self) -> tuple[Compartment, Compartment]:

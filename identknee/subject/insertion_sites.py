@@ -32,7 +32,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import (
     Anatomy,
@@ -58,16 +58,11 @@ class Site:
     """A site of a line ligament."""
 
     name: str = entry("Name of the line, different for every line")
-    femur: Array = entry(
-        "Femoral insertion in the common frame of the scanned pose [mm], shape ``(3,)``"
+    femur: Array = array(
+        "Femoral insertion in the common frame of the scanned pose", "axis", unit="mm"
     )
-    tibia: Array = entry("Tibial insertion, likewise")
+    tibia: Array = array("Tibial insertion, likewise", "axis", unit="mm")
     side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
-
-    def __post_init__(self) -> None:
-        for bone in ("femur", "tibia"):
-            place = frozen(getattr(self, bone), 3, name=f"the {bone} site of {self.name}")
-            object.__setattr__(self, bone, place)
 
     @property
     def length(self) -> float:

@@ -6,7 +6,6 @@ of one walker depend on one another, and only the order of its steps shows how m
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import unique
 
 import numpy as np
@@ -17,8 +16,8 @@ from typing_extensions import override
 
 from identknee.identify.posterior.density import InfeasiblePriorMass, log_prior, log_prior_working
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.record import Record, WithSentence
 
 # The sum over lags ends at the first lag beyond so many autocorrelation times (Sokal).
@@ -400,60 +399,34 @@ QUANTILES = (0.025, 0.5, 0.975)
 APART = 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class Posterior:
-    """A sample of the posterior with its convergence diagnostics.
+    """A sample of the posterior with its convergence diagnostics."""
 
-    Attributes
-    ----------
-    parameters
-        The parameters, in the order of theta.
-    samples
-        Theta of every step of every walker, burn-in included, shape
-        ``(ensembles, walkers, steps, n)``.
-    log_likelihood
-        Minus half the deviance, shape ``(ensembles, walkers, steps)``.
-    checks
-        The numbers of every check, in their order; the last one decided.
-    outcome
-        How sampling ended.
-    prior
-        Draws of the prior within the bounds, shape ``(draws, n)``.
-    excluded
-        How much of the prior the posterior cannot reach.
-    optima
-        What the walkers started around, shape ``(k, n)``.
-    n_simulations
-        All simulations: fits, starts, steps, and the draws of the prior.
-    n_walk_simulations
-        Those of the steps alone.
-    seed
-        Seed of all random numbers.
-    record
-        The call, its settings and the time.
-    """
-
-    parameters: Parameters
-    samples: Array
-    log_likelihood: Array
-    checks: tuple[ConvergenceCheck, ...]
-    outcome: SampleOutcome
-    prior: Array
-    excluded: InfeasiblePriorMass
-    optima: Array
-    n_simulations: int
-    n_walk_simulations: int
-    seed: int
-    record: Record
-
-    def __post_init__(self) -> None:
-        n = self.parameters.n
-        samples = frozen(self.samples, None, None, None, n, name="samples")
-        object.__setattr__(self, "samples", samples)
-        likelihood = frozen(self.log_likelihood, *samples.shape[:3], name="log_likelihood")
-        object.__setattr__(self, "log_likelihood", likelihood)
-        object.__setattr__(self, "prior", frozen(self.prior, None, n, name="prior"))
-        object.__setattr__(self, "optima", frozen(self.optima, None, n, name="optima"))
+    parameters: Parameters = entry("The parameters, in the order of theta")
+    samples: Array = array(
+        "Theta of every step of every walker, burn-in included",
+        *("ensemble", "walker", "step", "parameter"),
+        unit=OF_PARAMETER,
+    )
+    log_likelihood: Array = array("Minus half the deviance", "ensemble", "walker", "step")
+    checks: tuple[ConvergenceCheck, ...] = entry(
+        "The numbers of every check, in their order; the last one decided"
+    )
+    outcome: SampleOutcome = entry("How sampling ended")
+    prior: Array = array(
+        "Draws of the prior within the bounds", "draw", "parameter", unit=OF_PARAMETER
+    )
+    excluded: InfeasiblePriorMass = entry("How much of the prior the posterior cannot reach")
+    optima: Array = array(
+        "What the walkers started around", "optimum", "parameter", unit=OF_PARAMETER
+    )
+    n_simulations: int = entry(
+        "All simulations: fits, starts, steps, and the draws of the prior", unit="1"
+    )
+    n_walk_simulations: int = entry("Those of the steps alone", unit="1")
+    seed: int = entry("Seed of all random numbers")
+    record: Record = entry("The call, its settings and the time")
 
     @property
     def last_check(self) -> ConvergenceCheck:
@@ -554,26 +527,17 @@ DELTA = 0.01
 THRESHOLD = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class PriorSensitivity:
     """Change of each marginal posterior when the prior, or the likelihood, is raised to a power.
 
-    Attributes
-    ----------
-    names
-        Parameters.
-    prior, likelihood
-        Cumulative Jensen-Shannon distance per doubling of the power, shape ``(n,)``; above 0.05
-        the marginal depends on it.
+    Cumulative Jensen-Shannon distances per doubling of the power; where one is above 0.05 the
+    marginal depends on it.
     """
 
-    names: tuple[str, ...]
-    prior: Array
-    likelihood: Array
-
-    def __post_init__(self) -> None:
-        for name in ("prior", "likelihood"):
-            object.__setattr__(self, name, frozen(getattr(self, name), len(self.names), name=name))
+    names: tuple[str, ...] = array("Parameters", "parameter", is_in_arrays=False)
+    prior: Array = array("Distance by the power of the prior", "parameter")
+    likelihood: Array = array("Distance by that of the likelihood", "parameter")
 
     @property
     def verdicts(self) -> tuple[str, ...]:

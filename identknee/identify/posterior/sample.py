@@ -34,7 +34,7 @@ from identknee.identify.posterior.posterior import (
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import declared
+from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import Record, record
@@ -531,50 +531,28 @@ N_RESAMPLED = 100
 IMPOSSIBLE = -1e300
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class NestedPosterior:
-    """Weighted draws of the posterior by nested sampling, and the evidence.
+    """Weighted draws of the posterior by nested sampling, and the evidence."""
 
-    Attributes
-    ----------
-    parameters
-        The parameters, in the order of theta.
-    samples
-        Theta, shape ``(k, n)``.
-    weights
-        Their posterior weights, sum 1, shape ``(k,)``.
-    quantile_errors
-        Standard errors of the 2.5, 50 and 97.5 % quantiles, shape ``(n, 3)``, from runs resampled
-        from the live points of this one.
-    log_evidence
-        Logarithm of the mean likelihood over the prior within the bounds, the likelihood being
-        ``exp(-deviance / 2)``: without the constant that depends on the noise alone.
-    log_evidence_error
-        Its standard error.
-    n_simulations
-        How many it took.
-    seed
-        Seed of all random numbers.
-    record
-        The call, its settings and the time.
-    """
-
-    parameters: Parameters
-    samples: Array
-    weights: Array
-    quantile_errors: Array
-    log_evidence: float
-    log_evidence_error: float
-    n_simulations: int
-    seed: int
-    record: Record
-
-    def __post_init__(self) -> None:
-        samples = frozen(self.samples, None, self.parameters.n, name="samples")
-        object.__setattr__(self, "samples", samples)
-        object.__setattr__(self, "weights", frozen(self.weights, len(samples), name="weights"))
-        errors = frozen(self.quantile_errors, self.parameters.n, None, name="quantile_errors")
-        object.__setattr__(self, "quantile_errors", errors)
+    parameters: Parameters = entry("The parameters, in the order of theta")
+    samples: Array = array("Theta", "draw", "parameter", unit=OF_PARAMETER)
+    weights: Array = array("Posterior weight of each draw; the sum is 1", "draw")
+    quantile_errors: Array = array(
+        "Standard errors of the 2.5, 50 and 97.5 % quantiles, from runs resampled from the live "
+        "points of this one",
+        *("parameter", "quantile"),
+        unit=OF_PARAMETER,
+    )
+    log_evidence: float = entry(
+        "Logarithm of the mean likelihood over the prior within the bounds, the likelihood being "
+        "``exp(-deviance / 2)``: without the constant that depends on the noise alone",
+        unit="1",
+    )
+    log_evidence_error: float = entry("Its standard error", unit="1")
+    n_simulations: int = entry("How many it took", unit="1")
+    seed: int = entry("Seed of all random numbers")
+    record: Record = entry("The call, its settings and the time")
 
     @property
     def effective_draws(self) -> float:

@@ -15,7 +15,7 @@ from typing_extensions import override
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
 from identknee.calibrate.problem import Evaluator, Problem, Quantity
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Doubt
@@ -121,25 +121,16 @@ def f_threshold(level: float, degrees_of_freedom: int, n_quantities: int = 1) ->
     return n_quantities * float(scipy.stats.f.ppf(level, n_quantities, degrees_of_freedom))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@declared
 class BootstrapStatistics:
-    """Parametric bootstrap of the likelihood ratio at one parameter set.
+    """Parametric bootstrap of the likelihood ratio at one parameter set."""
 
-    Attributes
-    ----------
-    names
-        Names of the quantities.
-    statistics
-        Rise of the deviance when a quantity is held at its true value, one row a data set, shape
-        ``(n, q)``; infinite where the model has no fit there, NaN where the data have no fit.
-    """
-
-    names: tuple[str, ...]
-    statistics: Array
-
-    def __post_init__(self) -> None:
-        q = len(self.names)
-        object.__setattr__(self, "statistics", frozen(self.statistics, None, q, name="statistics"))
+    names: tuple[str, ...] = array("Names of the quantities", "quantity", is_in_arrays=False)
+    statistics: Array = array(
+        "Rise of the deviance when a quantity is held at its true value, one row a data set; "
+        "infinite where the model has no fit there, NaN where the data have no fit",
+        *("data_set", "quantity"),
+    )
 
     @property
     def n_failed(self) -> int:
