@@ -62,7 +62,7 @@ def test_without_a_printer_an_answer_is_its_class_alone(monkeypatch: pytest.Monk
         return printer
 
     try:
-        monkeypatch.setattr("identknee.verbs.answer._given", [])
+        monkeypatch.setattr("identknee.verbs.printer._given", [])
         assert str(answer) == repr(answer) == "SubjectFacts"
         with pytest.raises(ValueError, match="here draws"):
             answer.plot()
