@@ -14,7 +14,7 @@ from identknee.laxity.protocol import ABSOLUTE
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, LaxityError
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
-from identknee.model.effects.structures import MissingStructure, PosteriorCapsule
+from identknee.model.effects.structures import MissingStructure, PosteriorCapsule, Structure
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import (
     SCALE,
@@ -27,6 +27,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import amount, listed, listed_first
+from identknee.subject.knee import Knee
 
 SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
 # N, at a lever of 20 mm: what is smaller is not worth a structure, however exact the poses are.
@@ -71,7 +72,7 @@ def missing_restraint_findings(
     if not is_lost.any() or laxity.zero != ABSOLUTE or prediction.hessians is None:
         return ()
     sd = np.empty((laxity.n, 5))
-    sd[:, TRANSLATIONS], sd[:, ROTATIONS] = max(error.mm, FINEST), max(error.deg, FINEST)
+    sd[:, TRANSLATIONS], sd[:, ROTATIONS] = max(FINEST, error.mm), max(FINEST, error.deg)
     if laxity.sd is not None:
         sd = np.where(np.isnan(laxity.sd), sd, laxity.sd)
     missing = wrench_at_measured_poses(
@@ -92,9 +93,7 @@ def restraints(
     lost = np.flatnonzero(is_lost)
     unit = _unit(missing, lost)
     wanted = np.einsum("nij,nj->ni", unit, missing.outside[lost]).ravel()
-    for effect in library(model.knee):
-        if not isinstance(effect, MissingStructure | PosteriorCapsule):
-            continue
+    for effect in _structures(model.knee):
         n = effect.first_shift - 1
         best, at = np.inf, np.zeros(n + 1)
         for strain in SLACK_STRAINS:
@@ -117,6 +116,15 @@ def restraints(
         )
 
 
+def _structures(knee: Knee) -> list[Structure]:
+    """The structures of the library; none where the surfaces do not show where they would be."""
+    try:
+        found = library(knee)
+    except ValueError:
+        return []
+    return [x for x in found if isinstance(x, MissingStructure | PosteriorCapsule)]
+
+
 def _unit(missing: MissingWrench, trials: IntArray) -> Array:
     """What turns missing forces outside contact into units of their errors, shape ``(n, 5, 5)``."""
     covariance = missing.outside_covariance[trials] / SCALE[:, None] / SCALE
@@ -131,7 +139,7 @@ def structure_pulls(
     model: LaxityModel,
     theta: Array,
     poses: Array,
-    effect: MissingStructure | PosteriorCapsule,
+    effect: Structure,
     strain: float,
 ) -> Array:
     """Gradient of the energy of a structure by its stiffnesses in given poses, ``(n, 5, k)``.

@@ -8,10 +8,12 @@ import pytest
 from identknee.checks.missing_restraint import missing_restraint_findings
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise, laxity_rmse
+from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import unbalanced_load, wrench_at_measured_poses
 from identknee.runs.arrays import Array
+from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 
 HIDDEN, STIFFNESS, STRAIN = "popliteofibular", 1.5, 2.0
@@ -109,6 +111,18 @@ def test_poses_counted_from_a_zero_say_nothing(plain: LaxityModel, laxity: Laxit
     error = laxity_rmse(laxity, laxity)
     relative = replace(laxity, zero="unloaded")
     assert missing_restraint_findings(plain, relative, prediction, error) == ()
+
+
+def test_where_anatomy_is_not_found_no_structure_is_named(
+    plain: LaxityModel, laxity: Laxity, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without(_knee: Knee) -> tuple[Effect, ...]:
+        raise ValueError("the femoral surface has no posterior condyle on the lateral side")
+
+    monkeypatch.setattr("identknee.checks.missing_restraint.library", without)
+    prediction = plain.predict(plain.parameters.start)
+    (found,) = missing_restraint_findings(plain, laxity, prediction, laxity_rmse(laxity, laxity))
+    assert found.values["structures"] == []
 
 
 def _sd(laxity: Laxity, value: float) -> Array:
