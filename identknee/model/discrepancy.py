@@ -26,6 +26,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
+from identknee.runs.words import amount, label_without_unit, unit_of
 
 # Bounds of a correlation length, where flexion and each load vary between 0 and 1, or -1 and 1.
 LEAST_LENGTH, MOST_LENGTH = 0.4, 5.0
@@ -170,9 +171,14 @@ class SmoothDiscrepancy:
     @property
     def sentence(self) -> str:
         """What was averaged over."""
+        sizes = [
+            f"{label_without_unit(name)} {amount(sd, unit_of(name), 2)}"
+            for name, sd in zip(COORDINATES, self.sd.tolist(), strict=True)
+            if sd > 0.0
+        ]
         return (
-            "A smooth error of the model was averaged over (standard deviations found from the "
-            f"data: {self.words}). Intervals allow for it, but no name is given to it."
+            f"A smooth error of the model was marginalised: {', '.join(sizes)} (standard "
+            "deviations that the data show). Intervals allow for it, but no name is given to it."
         )
 
 
