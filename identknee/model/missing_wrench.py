@@ -47,7 +47,7 @@ class MissingWrench:
     )
     outside_covariance: Array = array("Covariance of its errors", "trial", "5", "5")
     poses: Array = array(
-        "Where the model predicts each trial: varus, internal [rad], x, y, z [mm]", "trial", "5"
+        "Where it is missing in each trial: varus, internal [rad], x, y, z [mm]", "trial", "5"
     )
 
 
