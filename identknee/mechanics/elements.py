@@ -8,6 +8,7 @@ position of its point alone, so one set of sums gives gradient and Hessian of th
 import math
 
 from identknee.mechanics.compiled import compiled, compiled_into_callers
+from identknee.mechanics.obstacles import straight_shape, wrapped_element
 
 
 @compiled
@@ -58,6 +59,26 @@ def added(sums, first, squares, products):
 
 
 @compiled
+def seen_from_tibia(sums, first):
+    """Sums with what an element has besides whose energy is of a femoral point seen from the tibia.
+
+    Such a point w turns with R^T: for rotations about a, then b, it is b x (a x w) that counts, and
+    not a x (b x w), and u . (b x e_k) for a rotation about b beside a shift along k, where u is
+    minus the element's gradient.
+    """
+    b00, b01, b02, b10, b11, b12, b20, b21, b22 = sums[18:27]
+    c00, c11, c22, c01, c02, c12 = sums[27:]
+    w0, w1, w2, u0, u1, u2 = first
+    twice = 2.0 * (u0 * w0 + u1 * w1 + u2 * w2)
+    return (
+        *sums[:18],
+        *(b00, b01 - u2, b02 + u1, b10 + u2, b11, b12 - u0, b20 - u1, b21 + u0, b22),
+        *(c00 + 2.0 * u0 * w0 - twice, c11 + 2.0 * u1 * w1 - twice, c22 + 2.0 * u2 * w2 - twice),
+        *(c01 + u0 * w1 + u1 * w0, c02 + u0 * w2 + u2 * w0, c12 + u1 * w2 + u2 * w1),
+    )
+
+
+@compiled
 def write_sums(total, sums):
     """Write the sums with every element of their symmetric matrices (39)."""
     for k in range(12):
@@ -82,12 +103,7 @@ def line_shape(e0, e1, e2, wrap_offset, place, shape):
     aside by `wrap_offset` along z.
     """
     if wrap_offset == 0.0:
-        length = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
-        g0, g1, g2 = e0 / length, e1 / length, e2 / length
-        shape[0], shape[1], shape[2], shape[3] = length, g0, g1, g2
-        a = 1.0 / length
-        shape[4], shape[5], shape[6] = a - a * g0 * g0, a - a * g1 * g1, a - a * g2 * g2
-        shape[7], shape[8], shape[9] = -a * g0 * g1, -a * g0 * g2, -a * g1 * g2
+        straight_shape(e0, e1, e2, shape)
         return
     for k in range(10):
         shape[k] = 0.0
@@ -123,7 +139,8 @@ def line_force(strain, stiffness, transition):
 @compiled
 def sum_ligaments(total, ligaments, placed):
     """The sums `total` with every ligament, and the energy of these."""
-    R, t, shape = placed.rotation, placed.translation, placed.line
+    R, t, course = placed.rotation, placed.translation, placed.course
+    shape = course.shape
     energy = 0.0
     for line in ligaments:
         y0, y1, y2 = line.tibial[0], line.tibial[1], line.tibial[2]
@@ -133,7 +150,11 @@ def sum_ligaments(total, ligaments, placed):
         e0 = p0 + t[0] - line.femoral[0]
         e1 = p1 + t[1] - line.femoral[1]
         e2 = p2 + t[2] - line.femoral[2]
-        line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
+        if line.obstacle_radius > 0.0:
+            wrapped_element(line, R, t, course)
+            p0, p1, p2 = course.point[0], course.point[1], course.point[2]
+        else:
+            line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
         slack_length = line.reference_length / (1.0 + line.reference_strain)
         strain = shape[0] / slack_length - 1.0
         force, slope, work = line_force(strain, line.stiffness, line.transition)
@@ -148,4 +169,6 @@ def sum_ligaments(total, ligaments, placed):
             (xx + b * g0 * g0, yy + b * g1 * g1, zz + b * g2 * g2),
             (xy + b * g0 * g1, xz + b * g0 * g2, yz + b * g1 * g2),
         )
+        if line.obstacle_is_tibial != 0.0:
+            total = seen_from_tibia(total, (p0, p1, p2, -force * g0, -force * g1, -force * g2))
     return total, energy

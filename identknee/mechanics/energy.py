@@ -23,6 +23,7 @@ from identknee.mechanics.contact_elements import (
 )
 from identknee.mechanics.elements import line_force, line_shape, sum_ligaments, write_sums
 from identknee.mechanics.memory import N_EVALUATIONS, N_EXPANDED, N_TOUCHING, ROTATION_SCALE
+from identknee.mechanics.obstacles import wrapped_element
 
 
 @compiled
@@ -294,8 +295,11 @@ def evaluate_if_moved(flexion, q, load, contact, field, ligaments, work):
 
 
 @compiled
-def parameter_columns(R, t, ligaments, axes, shape, columns):
+def parameter_columns(placed, ligaments, columns):
     """Write d gradient / d (stiffness [N], reference strain) of every ligament into `columns`."""
+    R, t, axes = placed.rotation, placed.translation, placed.axes
+    course = placed.course
+    shape = course.shape
     m = len(ligaments)
     for i in range(m):
         line = ligaments[i]
@@ -306,7 +310,11 @@ def parameter_columns(R, t, ligaments, axes, shape, columns):
         e0 = p0 + t[0] - line.femoral[0]
         e1 = p1 + t[1] - line.femoral[1]
         e2 = p2 + t[2] - line.femoral[2]
-        line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
+        if line.obstacle_radius > 0.0:
+            wrapped_element(line, R, t, course)
+            p0, p1, p2 = course.point[0], course.point[1], course.point[2]
+        else:
+            line_shape(e0, e1, e2, line.wrap_offset, line.wrap_place, shape)
         strain = shape[0] * (1.0 + line.reference_strain) / line.reference_length - 1.0
         force, slope, _ = line_force(strain, 1.0, line.transition)
         by_strain = line.stiffness * slope * shape[0] / line.reference_length

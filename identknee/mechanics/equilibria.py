@@ -196,7 +196,13 @@ def _forget(evaluation: EvaluationMemory) -> None:
 
 
 TRANSITION_STRAIN = 0.03
-_COURSE = ("reference_length", "transition", "wrap_offset", "wrap_place")
+# What is kept of a line, and how many numbers each is, in the order of `LineLigaments.table`.
+_WIDTHS = {
+    **{"femoral": 3, "tibial": 3, "obstacle_centre": 3, "obstacle_axis": 3},
+    **{"reference_length": 1, "transition": 1, "wrap_offset": 1, "wrap_place": 1},
+    **{"obstacle_radius": 1, "obstacle_is_tibial": 1},
+}
+LINE_COLUMNS = sum(_WIDTHS.values())
 
 
 @declared
@@ -249,15 +255,58 @@ class LineLigaments:
         "Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``",
         default=0.5,
     )
+    obstacle_radius: Array | float = entry(
+        "Radius of the cylinder or sphere that each line wraps around [mm], 0 for none, shape "
+        "``(m,)``",
+        default=0.0,
+    )
+    obstacle_is_tibial: Array | float = entry(
+        "Whether it is fixed to the tibia, 1 or 0, shape ``(m,)``", default=0.0
+    )
+    obstacle_centre: Array | float = entry(
+        "A point of its axis in the axes of its bone [mm], shape ``(m, 3)``", default=0.0
+    )
+    obstacle_axis: Array | float = entry(
+        "Unit vector along the axis, about which a line turns by the right hand on its way from "
+        "femur to tibia; zero for a sphere; shape ``(m, 3)``",
+        default=0.0,
+    )
 
     def __post_init__(self) -> None:
         m = len(self.femoral)
-        for name in ("femoral", "tibial"):
-            object.__setattr__(self, name, frozen(getattr(self, name), m, 3, name=name))
-        for name in _COURSE:
+        for name, width in _WIDTHS.items():
+            shape = (m,) if width == 1 else (m, width)
             values = getattr(self, name)
-            values = np.full(m, values) if np.ndim(values) == 0 else values
-            object.__setattr__(self, name, frozen(values, m, name=name))
+            values = np.full(shape, values) if np.ndim(values) == 0 else values
+            object.__setattr__(self, name, frozen(values, *shape, name=name))
+
+    def take(self, which: IntArray) -> "LineLigaments":
+        """Some of the lines, in the order asked for."""
+        return LineLigaments(**{x: getattr(self, x)[which] for x in _WIDTHS})
+
+    def with_obstacles_of(self, bone: int) -> IntArray:
+        """Which lines have an obstacle that is the femur's (0) or the tibia's (1)."""
+        is_own = np.asarray(self.obstacle_is_tibial) == bone
+        return np.flatnonzero((np.asarray(self.obstacle_radius) > 0.0) & is_own)
+
+    def table(self) -> Array:
+        """All that is known of each line, shape ``(m, LINE_COLUMNS)``.
+
+        Femoral and tibial insertion, centre and axis of the obstacle, then plain numbers.
+        """
+        return np.column_stack([getattr(self, x) for x in _WIDTHS])
+
+    @staticmethod
+    def of_table(rows: Array) -> "LineLigaments":
+        """The lines of a table as `table` gives it."""
+        ends = np.cumsum([0, *_WIDTHS.values()]).tolist()
+        parts = zip(_WIDTHS.items(), ends[:-1], strict=True)
+        return LineLigaments(
+            **{
+                name: rows[:, at] if width == 1 else rows[:, at : at + width]
+                for (name, width), at in parts
+            }
+        )
 
     def arrays(self, stiffness: Array, reference_strain: Array) -> Any:
         """The ligaments with stiffness [N] and reference strain, as the kernel takes them.
@@ -266,7 +315,7 @@ class LineLigaments:
         """
         lines = np.recarray(len(self.femoral), LINE)
         lines.stiffness, lines.reference_strain = stiffness, reference_strain
-        for name in ("femoral", "tibial", *_COURSE):
+        for name in _WIDTHS:
             lines[name] = getattr(self, name)
         return lines
 

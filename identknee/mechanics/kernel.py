@@ -429,7 +429,7 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
         write_sums(total, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, placed.line, columns)
+    parameter_columns(placed, ligaments, columns)
     factorise(H, 0.0, L)
     for j in range(S.shape[1]):
         for i in range(5):

@@ -3,8 +3,9 @@
 import numpy as np
 
 from identknee.mechanics.equilibria import TRANSITION_STRAIN, LineLigaments
+from identknee.mechanics.memory import COURSE, record
 from identknee.mechanics.pose import Placement, rotation_matrix
-from identknee.runs.arrays import Array
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared
 
 
@@ -176,9 +177,7 @@ def line_gradients(
 
 def line_lengths(lines: LineLigaments, flexion: float, pose: Array) -> Array:
     """Lengths of the lines [mm], shape ``(m,)``, at `flexion` [rad] and a `pose` (5,)."""
-    offset, _, _ = _offsets(lines, np.array([flexion]), pose[None])
-    length, _ = _course(lines, offset)
-    return length.reshape(-1)
+    return _lengths(lines, np.array([flexion]), pose[None])[0].reshape(-1)
 
 
 def _lengths(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array]:
@@ -188,7 +187,64 @@ def _lengths(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array,
     sin, cos = np.sin(poses[:, :1]), np.cos(poses[:, :1])
     by_varus = tibial[1] * z - tibial[2] * y
     by_internal = turned_z * x + tibial[0] * (sin * y - cos * z)
-    return length, np.stack([by_varus, by_internal, x, y, z], axis=2)
+    lengthening = np.stack([by_varus, by_internal, x, y, z], axis=2)
+    which = wrapped_lines(lines)
+    if which.size:
+        around = _courses_around(lines.take(which), flexion, poses)
+        pulls = np.concatenate([around.forces, np.cross(around.points, around.forces)], axis=2)
+        length[:, which] = around.lengths
+        lengthening[:, which] = -pulls @ twists_by_pose(poses)
+    return length, lengthening
+
+
+def wrapped_lines(lines: LineLigaments) -> IntArray:
+    """Which lines have an obstacle that they may wrap around."""
+    return np.flatnonzero(np.asarray(lines.obstacle_radius) > 0.0)
+
+
+@declared
+class _Courses:
+    """Lines around obstacles at poses, in tibial axes, each under a tension of 1 N."""
+
+    lengths: Array = array("Lengths", "pose", "line", unit="mm")
+    points: Array = array("Points of the tibia at which they pull", "pose", "line", "3", unit="mm")
+    forces: Array = array("Their forces on the tibia", "pose", "line", "3")
+    by_twist: Array = array(
+        "Derivatives of the forces by a twist of the tibia", "pose", "line", "3", "6"
+    )
+    points_by_twist: Array = array("Those of the points", "pose", "line", "3", "6")
+
+
+def _courses_around(lines: LineLigaments, flexion: Array, poses: Array) -> _Courses:
+    """The courses of lines that all have an obstacle."""
+    # The compiler takes half a second to load.
+    from identknee.mechanics.obstacles import write_shapes
+
+    none = np.zeros(len(lines.femoral))
+    rotations = np.moveaxis(rotation_matrix(flexion, poses[:, 0], poses[:, 1]), 2, 0)
+    turned = np.moveaxis(rotation_matrix(flexion, 0.0 * flexion, 0.0 * flexion), 2, 0)
+    origins = (turned @ poses[:, 2:, None])[..., 0]
+    shapes = np.zeros((len(poses), len(none), 13))
+    rows = np.ascontiguousarray(rotations.reshape(-1, 9))
+    write_shapes(lines.arrays(none, none), rows, origins, record(COURSE), shapes)
+    femoral, gradient = shapes[:, :, :3], shapes[:, :, 4:7]
+    hessian = shapes[:, :, [7, 10, 11, 10, 8, 12, 11, 12, 9]].reshape(*shapes.shape[:2], 3, 3)
+    is_tibial = np.asarray(lines.obstacle_is_tibial)[:, None] != 0.0
+    points = np.where(is_tibial, femoral, lines.tibial)
+    forces = np.where(is_tibial, gradient, -gradient)
+    # A twist moves the tibia along its axes and about them; the femoral end is left behind.
+    moved = np.concatenate(
+        [np.broadcast_to(np.eye(3), hessian.shape), -_crosses(points)], axis=3
+    )
+    by_twist = -hessian @ moved
+    by_twist[..., 3:] += np.where(is_tibial[..., None], 0.0, _crosses(forces))
+    return _Courses(
+        lengths=shapes[:, :, 3],
+        points=points,
+        forces=forces,
+        by_twist=by_twist,
+        points_by_twist=np.where(is_tibial[..., None], -moved, 0.0),
+    )
 
 
 def _course(lines: LineLigaments, offset: Array) -> tuple[Array, Array]:
@@ -228,6 +284,8 @@ def _offsets(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array,
 
 
 NM_PER_NMM = 1e-3
+# Of a wrench, which has moments in N m, along a twist in mm and rad.
+WORK = np.array([1.0, 1.0, 1.0, NM_PER_NMM, NM_PER_NMM, NM_PER_NMM])
 
 
 @declared
@@ -272,43 +330,60 @@ def line_wrenches(
     reference_strain
         Strain at the reference length [-], shape ``(m,)``.
     """
-    rotation = _rotations(poses)
-    offset, aside = _in_tibial_axes(lines, flexion, poses, rotation)
-    share = np.asarray(lines.wrap_place)[:, None]
-    length, gradient, parts = np.zeros(offset.shape[:2]), np.zeros(offset.shape), []
-    for part, sign in ((share, -1.0), (1.0 - share, 1.0)):
-        course = part * offset + sign * aside
-        size = np.linalg.norm(course, axis=2, keepdims=True)
-        direction = course / size
-        length, gradient = length + size[:, :, 0], gradient + part * direction
-        across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
-        parts.append((part, sign, direction, across / size[..., None]))
+    length, pull, pull_by_twist = _pulls(lines, flexion, poses)
+    which = wrapped_lines(lines)
+    if which.size:
+        around = _courses_around(lines.take(which), flexion, poses)
+        length[:, which] = around.lengths
+        pull[:, which] = _with_moments(around.points, around.forces)
+        pull_by_twist[:, which] = np.concatenate(
+            [
+                around.by_twist,
+                NM_PER_NMM * _crosses(around.points) @ around.by_twist
+                - NM_PER_NMM * _crosses(around.forces) @ around.points_by_twist,
+            ],
+            axis=2,
+        )
     slack_length = lines.reference_length / (1.0 + reference_strain)
     per_stiffness, slope = line_tensions(
         length / slack_length - 1.0, np.ones(len(stiffness)), lines.transition
     )
     tension, slope = stiffness * per_stiffness, stiffness * slope
-    femoral = lines.tibial - offset
-    offset_by_twist = np.concatenate(
-        [np.broadcast_to(np.eye(3), (*offset.shape, 3)), -_crosses(femoral)], axis=3
-    )
-    aside_by_twist = np.concatenate([np.zeros((*offset.shape, 3)), _crosses(aside)], axis=3)
-    turned = np.zeros(offset_by_twist.shape)
-    lengthening = np.zeros((*offset.shape[:2], 6))
-    for part, sign, direction, across in parts:
-        course_by_twist = part[..., None] * offset_by_twist + sign * aside_by_twist
-        lengthening += np.einsum("nmi,nmij->nmj", direction, course_by_twist)
-        turned += part[..., None] * (across @ course_by_twist)
-    pulled = (slope / slack_length)[:, :, None] * lengthening
-    force_by_twist = -gradient[..., None] * pulled[:, :, None] - tension[..., None, None] * turned
-    along = _with_moments(lines, -gradient)
+    # A line does the work that stretches it.
+    pulled = -(slope / slack_length)[:, :, None] * pull / WORK
     by_strain = slope * length / lines.reference_length
     return LineWrenches(
-        values=tension[..., None] * along,
-        by_twist=np.swapaxes(_with_moments(lines, np.swapaxes(force_by_twist, 2, 3)), 2, 3),
-        by_stiffness=per_stiffness[..., None] * along,
-        by_strain=by_strain[..., None] * along,
+        values=tension[..., None] * pull,
+        by_twist=pull[..., None] * pulled[:, :, None]
+        + tension[..., None, None] * pull_by_twist,
+        by_stiffness=per_stiffness[..., None] * pull,
+        by_strain=by_strain[..., None] * pull,
     )
+
+
+def _pulls(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array, Array]:
+    """Lengths of lines without obstacles (n, m), wrenches of 1 N, and these by a twist.
+
+    The wrenches have the shape ``(n, m, 6)``, their derivatives ``(n, m, 6, 6)``.
+    """
+    offset, aside = _in_tibial_axes(lines, flexion, poses, _rotations(poses))
+    share = np.asarray(lines.wrap_place)[:, None]
+    length, force = np.zeros(offset.shape[:2]), np.zeros(offset.shape)
+    offset_by_twist = np.concatenate(
+        [np.broadcast_to(np.eye(3), (*offset.shape, 3)), -_crosses(lines.tibial - offset)], axis=3
+    )
+    aside_by_twist = np.concatenate([np.zeros((*offset.shape, 3)), _crosses(aside)], axis=3)
+    by_twist = np.zeros(offset_by_twist.shape)
+    for part, sign in ((share, -1.0), (1.0 - share, 1.0)):
+        course = part * offset + sign * aside
+        size = np.linalg.norm(course, axis=2, keepdims=True)
+        direction = course / size
+        length, force = length + size[:, :, 0], force - part * direction
+        across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
+        course_by_twist = part[..., None] * offset_by_twist + sign * aside_by_twist
+        by_twist -= part[..., None] * (across / size[..., None] @ course_by_twist)
+    turned = np.swapaxes(_with_moments(lines.tibial, np.swapaxes(by_twist, 2, 3)), 2, 3)
+    return length, _with_moments(lines.tibial, force), turned
 
 
 def twists_by_pose(poses: Array) -> Array:
@@ -345,7 +420,7 @@ def _crosses(vectors: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _with_moments(lines: LineLigaments, forces: Array) -> Array:
-    """Forces (n, m, ..., 3) at the tibial insertions, and their moments about the origin."""
-    arms = lines.tibial.reshape(1, -1, *(1,) * (forces.ndim - 3), 3)
+def _with_moments(points: Array, forces: Array) -> Array:
+    """Forces (n, m, ..., 3) at points (..., m, 3) of the tibia, and moments about its origin."""
+    arms = points.reshape(-1, points.shape[-2], *(1,) * (forces.ndim - 3), 3)
     return np.concatenate([forces, NM_PER_NMM * np.cross(arms, forces)], axis=-1)

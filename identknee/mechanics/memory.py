@@ -106,7 +106,9 @@ class FieldArrays(NamedTuple):
 
 # A line ligament: insertions [mm], stiffness [N], reference strain, reference length [mm],
 # transition strain (negative for a spring that pushes too), how far the line is pushed aside [mm]
-# and at which share of the way from the tibia.
+# and at which share of the way from the tibia; the obstacle that it wraps around: radius [mm] (0 for
+# none), whether it is the tibia's, centre [mm] and axis in the axes of its bone. A line goes around
+# the axis of a cylinder by the right hand, from femur to tibia; that of a sphere is zero.
 LINE = np.dtype(
     [
         ("femoral", float, 3),
@@ -117,6 +119,21 @@ LINE = np.dtype(
         ("transition", float),
         ("wrap_offset", float),
         ("wrap_place", float),
+        ("obstacle_radius", float),
+        ("obstacle_is_tibial", float),
+        ("obstacle_centre", float, 3),
+        ("obstacle_axis", float, 3),
+    ]
+)
+# What one line needs: length, gradient and Hessian of its course, and, around an obstacle, its
+# point, its end, and centre and axis of the obstacle.
+COURSE = np.dtype(
+    [
+        ("shape", float, 10),
+        ("point", float, 3),
+        ("end", float, 3),
+        ("centre", float, 3),
+        ("axis", float, 3),
     ]
 )
 
@@ -226,7 +243,7 @@ PLACED = np.dtype(
         ("held_at", float, 5),
         ("axes", float, (9, 3)),
         ("sums", float, 39),
-        ("line", float, 10),
+        ("course", COURSE),
         ("counts", np.int64, 5),
     ]
 )

@@ -31,7 +31,14 @@ class MeasuredFrames:
     def lines(self, lines: LineLigaments) -> LineLigaments:
         """Lines between insertions in the frames of the geometry, in these."""
         femoral, tibial = self.to_measured(lines.femoral, 0), self.to_measured(lines.tibial, 1)
-        return replace(lines, femoral=femoral, tibial=tibial)
+        centre, axis = np.array(lines.obstacle_centre), np.array(lines.obstacle_axis)
+        for bone in range(2):
+            own = lines.with_obstacles_of(bone)
+            centre[own] = self.to_measured(centre[own], bone)
+            axis[own] = axis[own] @ self.turns[bone]
+        return replace(
+            lines, femoral=femoral, tibial=tibial, obstacle_centre=centre, obstacle_axis=axis
+        )
 
     def contact(self, contact: ContactPoints) -> ContactPoints:
         """The contact points, in the measured frame of the tibia."""

@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeGuard, cast, runtime_checkable
 import numpy as np
 
 from identknee.mechanics.contact_points import contact_motion_columns
-from identknee.mechanics.equilibria import LineLigaments
+from identknee.mechanics.equilibria import LINE_COLUMNS, LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.mechanics.memory import Equilibria
 from identknee.model.mechanics_inputs import (
@@ -477,7 +477,7 @@ def line_changes(
     changes
         The derivatives, shape ``(n, m, k, a)``.
     moves
-        Differences of the table of lines that they follow from, shape ``(a, m, 12)``.
+        Differences of the table of lines that they follow from, shape ``(a, m, N_COLUMNS)``.
     """
     last, flexion = settings[-1], settings[-1].flexion[nodes]
     perturbed, table = _perturbed(effects, settings, values, steps), _table(last)
@@ -505,7 +505,7 @@ class _Perturbed:
 
     copies: "_Replicas" = entry("Replicas of the inputs with one amplitude changed each")
     moves: Array = entry(
-        "Differences of the table of lines, shape ``(a, m, 12)``; without those of self-contained "
+        "Differences of the table of lines, shape ``(a, m, N_COLUMNS)``; without those of self-contained "
         "effects"
     )
     frames: tuple[tuple[Array, Array, slice], ...] = entry(
@@ -526,11 +526,18 @@ def _perturbed(
         each = central_difference_values(values[part], steps[part])
         if moves_frames(effect):
             turns, shifts = effect.placements(each)
-            unmoved = _table(replace(settings[-1], frames=None))
-            for bone in range(2):
-                place = slice(3 * bone, 3 * bone + 3)
-                moved = to_measured(unmoved[:, place], turns[:, bone], shifts[:, bone])
-                moves[part, :, place] = moved[1::2] - moved[::2]
+            lines = settings[-1].lines
+            for bone, ends in enumerate((lines.femoral, lines.tibial)):
+                moved = to_measured(ends, turns[:, bone], shifts[:, bone])
+                moves[part, :, 3 * bone : 3 * bone + 3] = moved[1::2] - moved[::2]
+                own = lines.with_obstacles_of(bone)
+                if own.size:
+                    centre = np.asarray(lines.obstacle_centre)[own]
+                    axis = np.asarray(lines.obstacle_axis)[own]
+                    moved = to_measured(centre, turns[:, bone], shifts[:, bone])
+                    moves[part, own, 6:9] = moved[1::2] - moved[::2]
+                    moved = axis @ turns[:, bone]
+                    moves[part, own, 9:12] = moved[1::2] - moved[::2]
             frames.append((turns, shifts, part))
         else:
             copies.add(effect, before, after, each, first=part.start)
@@ -651,7 +658,7 @@ class _Replicas:
 
     def moves(self, n_lines: int) -> Array:
         """Differences of the table of lines, each amplitude's second copy less its first."""
-        moves = np.zeros((self._n_values, n_lines, 12))
+        moves = np.zeros((self._n_values, n_lines, N_COLUMNS))
         if self._all is None:
             return moves
         order = np.argsort(self._all.copy, kind="stable")
@@ -665,7 +672,7 @@ class _Replicas:
 
 
 def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Array) -> Array:
-    """Change of the gradient by small `moves` (a, m, 12) of a table of lines, ``(n, 5, a)``."""
+    """Change of the gradient by small `moves` of a table of lines, ``(n, 5, a)``."""
     line, entry, step, lines, laws = _moved_lines(table, moves)
     less, more = np.split(line_gradients(lines, flexion, poses, *laws), 2, axis=1)
     share = moves[:, line, entry] / (2.0 * step)
@@ -675,7 +682,7 @@ def _gradient_differences(table: Array, moves: Array, flexion: Array, poses: Arr
 def _moved_lines(
     table: Array, moves: Array
 ) -> tuple[IntArray, IntArray, Array, LineLigaments, tuple[Array, Array]]:
-    """Lines with one entry of the table each moved down, then up, as far as `moves` (a, m, 12) go.
+    """Lines with one entry of the table each moved down, then up, as far as `moves` go.
 
     Returns
     -------
@@ -693,27 +700,19 @@ def _moved_lines(
     low[place] -= step
     high[place] += step
     both = np.concatenate([low, high])
-    lines = LineLigaments(
-        femoral=both[:, :3],
-        tibial=both[:, 3:6],
-        reference_length=both[:, 6],
-        transition=both[:, 7],
-        wrap_offset=both[:, 8],
-        wrap_place=both[:, 9],
-    )
+    lines = LineLigaments.of_table(both[:, :STIFFNESS_COLUMN])
     return line, entry, step, lines, (both[:, STIFFNESS_COLUMN], both[:, STIFFNESS_COLUMN + 1])
 
 
-# Of the table of lines: how many columns, and which has the stiffness.
-N_COLUMNS, STIFFNESS_COLUMN = 12, 10
+# Of the table of lines: which column has the stiffness, and how many there are.
+STIFFNESS_COLUMN = LINE_COLUMNS
+N_COLUMNS = STIFFNESS_COLUMN + 2
 
 
 def _table(setting: MechanicsInputs) -> Array:
-    """All quantities that the gradient of each line depends on, shape ``(m, 12)``."""
-    x = setting.measured_lines
-    courses = (x.reference_length, x.transition, x.wrap_offset, x.wrap_place)
+    """All quantities that the gradient of each line depends on, shape ``(m, N_COLUMNS)``."""
     laws = (setting.stiffness, setting.reference_strain)
-    return np.column_stack([x.femoral, x.tibial, *courses, *laws])
+    return np.column_stack([setting.measured_lines.table(), *laws])
 
 
 # Of the range of an amplitude: settings and observations are smooth functions in closed form, whose

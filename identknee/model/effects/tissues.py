@@ -203,13 +203,9 @@ def _split(ligament: IntArray, setting: MechanicsInputs, values: Array) -> Mecha
     strains, places = each[:, :n], each[:, n:].reshape(-1, n, len(BONES), len(AXES))
     aside = side[:, None, None] * places[row, of]
     half = np.where(owner >= 0, 0.5, 1.0)
-    bundled = LineLigaments(
-        femoral=lines.femoral[line] + aside[:, 0],
-        tibial=lines.tibial[line] + aside[:, 1],
-        reference_length=lines.reference_length[line],
-        transition=np.asarray(lines.transition)[line],
-        wrap_offset=np.asarray(lines.wrap_offset)[line],
-        wrap_place=np.asarray(lines.wrap_place)[line],
+    whole = lines.take(line)
+    bundled = replace(
+        whole, femoral=whole.femoral + aside[:, 0], tibial=whole.tibial + aside[:, 1]
     )
     split = replace(
         setting,

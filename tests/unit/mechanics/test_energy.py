@@ -19,6 +19,7 @@ from oracle import OracleKnee
 from tolerances import CLOSED_FORM, DERIVATIVE
 
 from identknee.mechanics.energy import motion_axes, parameter_columns, place_tibia
+from identknee.mechanics.memory import PLACED, record
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
@@ -77,10 +78,10 @@ def test_slopes_by_the_parameters_are_the_oracles(
     seed: int,
 ) -> None:
     flexion, pose, load, ligaments = _case(reference_model, reference_prediction, seed)
-    R, t, axes, columns = np.zeros(9), np.zeros(3), np.zeros((9, 3)), np.zeros((5, 8))
-    place_tibia(flexion, pose, R, t)
-    motion_axes(flexion, R, t, axes)
-    parameter_columns(R, t, ligaments, axes, np.zeros(10), columns)
+    placed, columns = record(PLACED), np.zeros((5, 8))
+    place_tibia(flexion, pose, placed.rotation, placed.translation)
+    motion_axes(flexion, placed.rotation, placed.translation, placed.axes)
+    parameter_columns(placed, ligaments, columns)
     state = state_of(flexion, load, ligaments)
     expected = np.array(oracle.parameter_slopes(slow_knee, state, pose.tolist()))
     for block in (slice(0, 4), slice(4, 8)):
