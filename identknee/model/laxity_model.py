@@ -94,8 +94,6 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
         knee.femur_frame.axes @ knee.tibia_frame.axes.T,
         knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
     )
-    insertions = np.array([x.femur for x in knee.ligaments]).reshape(-1, 3)
-    tibial_insertions = np.array([x.tibia for x in knee.ligaments]).reshape(-1, 3)
     contact, tibial_rims = _tibial_contact(knee.tibia, knee.tibia_frame, n_points)
     rounding = contact_rounding(knee)
     if rounding:
@@ -103,15 +101,33 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
     return ContactGeometry(
         field=_field(knee, femoral),
         contact=contact,
-        lines=LineLigaments(
-            femoral=knee.femur_frame.to_local(insertions),
-            tibial=knee.tibia_frame.to_local(tibial_insertions),
-            reference_length=knee.reference_lengths,
-        ),
+        lines=lines_in_bones(knee),
         femoral_rim=rim_distance(femoral, knee.femur.faces),
         tibial_rims=tibial_rims,
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
+    )
+
+
+def lines_in_bones(knee: Knee) -> LineLigaments:
+    """The ligaments' lines in the frames of their bones."""
+    own = knee.ligaments
+    n, frames = len(own), {"femur": knee.femur_frame, "tibia": knee.tibia_frame}
+    radius, is_tibial, centre, axis = np.zeros(n), np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3))
+    for i, x in enumerate(own):
+        if x.wrap is not None:
+            frame = frames[x.wrap.bone]
+            radius[i], is_tibial[i] = x.wrap.radius_mm, float(x.wrap.bone == "tibia")
+            centre[i] = frame.to_local(x.wrap.centre[None])[0]
+            axis[i] = frame.axes @ x.wrap.turning_axis(x.femur, x.tibia)
+    return LineLigaments(
+        femoral=knee.femur_frame.to_local(np.array([x.femur for x in own]).reshape(-1, 3)),
+        tibial=knee.tibia_frame.to_local(np.array([x.tibia for x in own]).reshape(-1, 3)),
+        reference_length=knee.reference_lengths,
+        obstacle_radius=radius,
+        obstacle_is_tibial=is_tibial,
+        obstacle_centre=centre,
+        obstacle_axis=axis,
     )
 
 

@@ -43,6 +43,7 @@ from identknee.subject.knee import (
     Uncertainty,
     frames_from_landmarks,
 )
+from identknee.subject.obstacle import Obstacle
 from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, read_surface, write_surface
@@ -122,6 +123,16 @@ class FrameTables(Part):
     tibia: Annotated[FrameTable, custom_message(_TABLE, "Write it below a line [frames.tibia].")]
 
 
+class ObstacleTable(Part):
+    """A ``[ligaments.wrap]``: the cylinder or sphere that a ligament wraps around."""
+
+    bone: Literal["femur", "tibia"]
+    centre: Point
+    radius_mm: Number
+    axis: Point | None = None
+    side: Point | None = None
+
+
 class LigamentTable(Part):
     """A ``[[ligaments]]``."""
 
@@ -130,6 +141,9 @@ class LigamentTable(Part):
     tibia: Point
     stiffness_kN: Number  # noqa: N815 - the unit
     reference_strain_pct: Number
+    wrap: Annotated[
+        ObstacleTable | None, custom_message(_TABLE, "Write it below a line [ligaments.wrap].")
+    ] = None
 
 
 class LineTable(Part):
@@ -564,6 +578,7 @@ def _knee(
             tibia=np.array(x.tibia),
             stiffness_kN=x.stiffness_kN,
             reference_strain_pct=x.reference_strain_pct,
+            wrap=x.wrap and _obstacle(file, x.name, x.wrap),
         )
         for x in tables.ligaments
     ]
@@ -674,6 +689,9 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
         places = {"name": x.name, "femur": x.femur, "tibia": x.tibia}
         lines += ["", "[[ligaments]]", *_rows(**places, stiffness_kN=stiffness)]
         lines += _rows(reference_strain_pct=strain)
+        if x.wrap is not None:
+            own = {name.name: getattr(x.wrap, name.name) for name in fields(Obstacle)}
+            lines += ["[ligaments.wrap]", *_rows(**own | {"radius_mm": float(x.wrap.radius_mm)})]
     if knee.effects:
         lines += ["", "# Amplitudes of effects are those of a right knee, whose z is lateral."]
     for effect in knee.effects:
@@ -704,6 +722,13 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
     if knee.bounds:
         lines += ["", "[bounds]", *_rows(**{_toml(k): list(x) for k, x in knee.bounds.items()})]
     return "\n".join(lines) + "\n"
+
+
+def _obstacle(file: Path, ligament: str, table: ObstacleTable) -> Obstacle:
+    given = table.model_dump(exclude_none=True)
+    made = {x: np.array(value) if isinstance(value, list) else value for x, value in given.items()}
+    built: Obstacle = _made(file, f"ligament {ligament}, wrap", Obstacle, **made)
+    return built
 
 
 def _limit_rows(limit: Limit) -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused, suggestion
+from identknee.subject.obstacle import Obstacle
 from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits
 from identknee.subject.surface import Surface
 
@@ -503,11 +504,14 @@ class Ligament:
         Force per unit strain of its linear region [kN], >= 0.
     reference_strain_pct
         Strain in the scanned pose [%], > -100; negative for a slack ligament.
+    wrap
+        The cylinder or sphere that it wraps around; None where it is straight.
 
     Raises
     ------
     ValueError
-        If a value is out of range, not finite, or both insertions coincide.
+        If a value is out of range, not finite, or both insertions coincide, or it passes its
+        obstacle on no side.
     """
 
     name: str
@@ -515,6 +519,7 @@ class Ligament:
     tibia: Array
     stiffness_kN: float  # noqa: N815 - the key in files
     reference_strain_pct: float
+    wrap: Obstacle | None = None
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip() or set(self.name) & set(".,=\"'\n\r\t"):
@@ -530,9 +535,11 @@ class Ligament:
             if far := implausible_coordinates(place):
                 raise ValueRefused(f"the {bone} insertion of {self.name} lies {far}", CHECK_UNITS)
             object.__setattr__(self, bone, place)
-        if self.length == 0.0:
+        if not np.any(self.tibia - self.femur):
             why = f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm"
             raise ValueRefused(why, "give two different points")
+        if self.wrap is not None:
+            self.wrap.turning_axis(self.femur, self.tibia)
         if not 0.0 <= self.stiffness_kN < np.inf:
             raise ValueError(
                 f"the stiffness of {self.name} must be finite and >= 0 kN, "
@@ -546,13 +553,16 @@ class Ligament:
 
     @property
     def length(self) -> float:
-        """Distance of its insertions in the scanned pose [mm]."""
-        return float(np.linalg.norm(self.tibia - self.femur))
+        """Length of its way between the insertions in the scanned pose [mm]."""
+        if self.wrap is None:
+            return float(np.linalg.norm(self.tibia - self.femur))
+        return self.wrap.length_of_way(self.femur, self.tibia)
 
     def mirrored(self) -> "Ligament":
         """A copy seen in the mirror z = 0."""
         mirror = np.array([1.0, 1.0, -1.0])
-        return replace(self, femur=self.femur * mirror, tibia=self.tibia * mirror)
+        wrap = None if self.wrap is None else self.wrap.mirrored()
+        return replace(self, femur=self.femur * mirror, tibia=self.tibia * mirror, wrap=wrap)
 
 
 LEAST = 2
@@ -897,7 +907,7 @@ class Knee:
 
     @property
     def reference_lengths(self) -> Array:
-        """Distance of each ligament's insertions in the scanned pose [mm], ``(n_ligaments,)``."""
+        """Length of each ligament in the scanned pose [mm], ``(n_ligaments,)``."""
         return np.array([x.length for x in self.ligaments])
 
     def ligament(self, name: str) -> Ligament:

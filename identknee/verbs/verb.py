@@ -212,6 +212,10 @@ def knee_digest(knee: Knee) -> str:
     for x in knee.ligaments:
         numbers = (*x.femur.tolist(), *x.tibia.tolist(), x.stiffness_kN, x.reference_strain_pct)
         parts.append(f"{x.name} {numbers}".encode())
+        if x.wrap is not None:
+            vectors = [y is not None and y.tolist() for y in (x.wrap.axis, x.wrap.side)]
+            own = (x.wrap.bone, x.wrap.centre.tolist(), float(x.wrap.radius_mm), vectors)
+            parts.append(f"around {own}".encode())
     for effect in knee.effects:
         ends = [(femur.tolist(), tibia.tolist()) for femur, tibia in effect.lines]
         spread = (effect.stiffness_sd_kN, effect.site_sd_mm)

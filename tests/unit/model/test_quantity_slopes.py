@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_knee import small_knee, small_protocol
 from tolerances import CLOSED_FORM
+from wrapped_knee import wrapped_knee
 
 import identknee as ik
 from identknee.laxity.table import Laxity
@@ -23,7 +24,7 @@ from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Ligament, Uncertainty
+from identknee.subject.knee import Knee, Ligament, Uncertainty
 
 EVERYTHING = Uncertainty(
     insertions_mm=2.0,
@@ -43,9 +44,14 @@ EVERYTHING = Uncertainty(
 STEP, SHARE = 1e-4, 1e-6
 
 
-def _reference() -> tuple[LaxityModel, Array]:
+def _wrapped() -> tuple[LaxityModel, Array]:
+    """The same with ligaments around obstacles of both bones."""
+    return _reference(wrapped_knee())
+
+
+def _reference(knee: Knee | None = None) -> tuple[LaxityModel, Array]:
     """The reference knee with two structures, split ligaments and everything uncertain."""
-    knee = ik.reference_knee().with_uncertainty(EVERYTHING)
+    knee = (knee or ik.reference_knee()).with_uncertainty(EVERYTHING)
     protocol = ik.load_protocol("table2").select([0, 3])
     model = LaxityModel(knee=knee, protocol=protocol)
     effects = [effect_named(knee, x) for x in ("popliteofibular", "posterior_capsule", "bundles")]
@@ -86,7 +92,7 @@ def _displaced(model: LaxityModel, theta: Array) -> Array:
     return np.asarray(theta + 0.1 * p.prior_sd_in_own_units * drawn)
 
 
-MODELS = {"reference": _reference, "bundles": _bundles}
+MODELS = {"reference": _reference, "bundles": _bundles, "wrapped": _wrapped}
 
 
 def _values(model: LaxityModel, found: Prediction) -> tuple[Array, Array, Array]:
