@@ -15,7 +15,7 @@ from identknee.runs.declare import array, declared
 # The second derivative of the length jumps where a line begins to touch. It is made continuous over
 # so small an angle that the length is wrong by LENGTH_ERROR [mm] at most: with tangents a and b the
 # arc saves a b / (a + b) angle^2 / 2, of which blending loses the share BLENDED.
-LENGTH_ERROR = 0.02
+LENGTH_ERROR = 0.001
 BLENDED = 0.12518  # the maximum of s^2 (1 - blend(s)), s from 0 to 1
 MOST_BLENDING = 0.25  # rad
 # Rows and columns of a symmetric matrix in the order xx yy zz xy xz yz.

@@ -21,6 +21,7 @@ from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
 from identknee.subject.knee import BONES, Frame, Knee, Landmark, Ligament, Side, groups_by_name
+from identknee.subject.obstacle import Obstacle
 from identknee.subject.opensim_model import (
     MM_PER_M,
     Element,
@@ -28,6 +29,7 @@ from identknee.subject.opensim_model import (
     OsimModel,
     Transform,
 )
+from identknee.subject.opensim_wrap import OTHER_OBJECT, SEVERAL, wrap_objects, wrapping_of
 from identknee.subject.surface import Surface, joined, read_surface
 
 MESH_CLASSES = ("Smith2018ContactMesh", "ContactMesh")
@@ -196,7 +198,8 @@ def is_off(element: Element) -> bool:
     return applies in ("false", "0") or disabled in ("true", "1")
 
 
-WRAPPED = "straight lines replace paths that wrap or bend"
+FITTED = "a cylinder replaces the ellipsoid they wrap around; lengths are up to {:.2g} mm off"
+MERGED_STRAIGHT = "the merged lines are straight, their bundles wrap"
 OTHER_TOE = f"the transition strain {TRANSITION_STRAIN:g} replaces that of the model"
 CONDITIONAL = "ends that hold in a range of a coordinate alone are taken as fixed"
 OFF = "their force is switched off in the model (appliesForce false)"
@@ -213,7 +216,10 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
     """
     model = bones.model
     lines: list[OsimLine] = []
-    remarks: dict[str, list[str]] = {x: [] for x in (OFF, MOVING, WRAPPED, OTHER_TOE, CONDITIONAL)}
+    reasons = (OFF, MOVING, SEVERAL, OTHER_OBJECT, FITTED, OTHER_TOE, CONDITIONAL)
+    remarks: dict[str, list[str]] = {x: [] for x in reasons}
+    objects = wrap_objects(model, {"femur": bones.femur, "tibia": bones.tibia})
+    worst = 0.0
     for element in model.all_of(LIGAMENT_CLASS):
         ends, name = ends_of(bones, element), element.get("name", "")
         if len(ends) < 2:
@@ -223,11 +229,14 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
             remarks[OFF if is_off(element) else MOVING].append(name)
             continue
         places = {x: end.frame(model.vector(end.element, "location")) for x, end in ends.items()}
-        ligament = _ligament(model, element, places)
+        wrapping = wrapping_of(model, element, objects, *(places[x] * MM_PER_M for x in BONES))
+        ligament = _ligament(model, element, places, wrapping.obstacle)
         lines.append(OsimLine(ligament=ligament, element=element, ends=ends))
-        wrap = element.find("GeometryPath/PathWrapSet/objects/PathWrap")
-        if len(element.findall("GeometryPath/PathPointSet/objects/*")) > 2 or wrap is not None:
-            remarks[WRAPPED].append(name)
+        if wrapping.why_straight:
+            remarks[wrapping.why_straight].append(name)
+        if np.isfinite(wrapping.error_mm):
+            remarks[FITTED].append(name)
+            worst = max(worst, wrapping.error_mm)
         if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
             remarks[OTHER_TOE].append(name)
         if "ConditionalPathPoint" in kinds:
@@ -244,7 +253,7 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
             kind=LIGAMENT_CLASS,
             names=tuple(names),
             change="left out" if why in (OFF, MOVING) else "changed",
-            why=why,
+            why=why.format(worst),
             is_line=True,
         )
         for why, names in remarks.items()
@@ -351,22 +360,26 @@ def slack_length(ligament: Ligament) -> float:
     return ligament.length / MM_PER_M / (1.0 + ligament.reference_strain_pct / 100.0)
 
 
-def _ligament(model: OsimModel, element: Element, ends: Mapping[str, Array]) -> Ligament:
+def _ligament(
+    model: OsimModel, element: Element, ends: Mapping[str, Array], obstacle: Obstacle | None
+) -> Ligament:
     name = element.get("name", "")
     slack = model.number(element, "slack_length")
     if slack <= 0.0:
         raise model.refusal(
             f"ligament {name}", f"its slack length is {slack:g} m", "Give a positive one."
         )
-    length = float(np.linalg.norm(ends["tibia"] - ends["femur"]))
     try:
-        return Ligament(
+        made = Ligament(
             name=name,
             femur=ends["femur"] * MM_PER_M,
             tibia=ends["tibia"] * MM_PER_M,
             stiffness_kN=model.number(element, "linear_stiffness") / 1000.0,
-            reference_strain_pct=100.0 * (length / slack - 1.0),
+            reference_strain_pct=0.0,
+            wrap=obstacle,
         )
+        strain = 100.0 * (made.length / MM_PER_M / slack - 1.0)
+        return replace(made, reference_strain_pct=strain)
     except ValueError as error:
         raise InputError(
             model.path, f"ligament {name}", str(error), "Correct it in the model."
@@ -396,9 +409,10 @@ def import_opensim(
 
     The femur is the body named so that carries a contact mesh, the tibia likewise; one joint
     connects them, perhaps with welds in between. Its two frames become the frames of the bones, in
-    mm. Every ``Blankevoort1991Ligament`` from one to the other becomes a straight line, its
-    reference strain following from its slack length; which of them wrapped or had further points
-    is listed in the description. One whose force is switched off is left out, and so are other
+    mm. Every ``Blankevoort1991Ligament`` from one to the other becomes a line, its reference strain
+    following from its slack length. A line wraps around the cylinder or sphere of its path, and
+    around a cylinder in place of an ellipsoid; one that bends at points or wraps around several
+    objects becomes straight. The description lists which were changed. One whose force is switched off is left out, and so are other
     classes; the command lists them. Contact meshes are looked for beside the file and in
     ``Geometry``, whatever the case of their names. A tibial mesh in one piece is cut between the
     plateaus.
@@ -459,6 +473,12 @@ def imported_knee(
         if rest:
             why = "it belongs to none of the four lines"
             beside = NotTaken(kind=LIGAMENT_CLASS, names=rest, change="left out", why=why)
+            not_taken = [*not_taken, beside]
+        wrapping = tuple(x.name for x in ligaments if x.name in used and x.wrap is not None)
+        if wrapping:
+            beside = NotTaken(
+                kind=LIGAMENT_CLASS, names=wrapping, change="changed", why=MERGED_STRAIGHT
+            )
             not_taken = [*not_taken, beside]
         ligaments = merged(model, ligaments, missing)
     _check_files(bones, meshes)
@@ -889,11 +909,18 @@ def _contact(bones: Bones) -> Iterator[NotTaken]:
 
 def _bodies(bones: Bones) -> Iterator[NotTaken]:
     own, other = {*bones.femur, *bones.tibia}, "left" if bones.side == "right" else "right"
+    wrapped = {
+        x.findtext("wrap_object")
+        for line in bones.model.all_of(LIGAMENT_CLASS)
+        if len(ends_of(bones, line)) == len(BONES)
+        for x in line.iterfind("GeometryPath/PathWrapSet/objects/PathWrap")
+    }
     for x in bones.model.listed("BodySet"):
         name = x.get("name", "")
         if name in own:
             for wrap in x.iterfind("WrapObjectSet/objects/*"):
-                yield remark(wrap, "nothing wraps: lines are straight")
+                if wrap.get("name") not in wrapped:
+                    yield remark(wrap, "no ligament of this knee wraps around it")
         else:
             of_leg = side_in(name) == other
             yield remark(x, "it is of the other leg" if of_leg else "it is no bone of this knee")

@@ -177,6 +177,14 @@ class OsimModel:
             raise self._malformed(element, tag, f"numbers up to {LARGEST:g}")
         return values
 
+    def transform(self, element: Element, orientation: str) -> Transform:
+        """Where a frame is in that in which it is given: its `orientation`, X-Y-Z, and translation."""
+        turns = self.vector(element, orientation, "0 0 0")
+        return Transform(
+            rotation=_about(0, turns[0]) @ _about(1, turns[1]) @ _about(2, turns[2]),
+            translation=self.vector(element, "translation", "0 0 0"),
+        )
+
     def placed(self, reference: str, joint: str = "", *, depth: int = 0) -> tuple[str, Transform]:
         """Body of a frame that a socket refers to, and where the frame is in that body.
 
@@ -204,11 +212,7 @@ class OsimModel:
         offset = self._offsets.get((owner, parts[-1]))
         if offset is None:
             return parts[-1], IDENTITY
-        turns = self.vector(offset, "orientation", "0 0 0")
-        inner = Transform(
-            rotation=_about(0, turns[0]) @ _about(1, turns[1]) @ _about(2, turns[2]),
-            translation=self.vector(offset, "translation", "0 0 0"),
-        )
+        inner = self.transform(offset, "orientation")
         parent = offset.findtext("socket_parent", "")
         body, outer = self.placed(parent, owner, depth=depth + 1)
         return body, outer @ inner

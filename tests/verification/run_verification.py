@@ -43,6 +43,7 @@ MODULES = {
     "states": "verify_states",
     "discrepancy": "verify_discrepancy",
     "opensim_cut": "verify_opensim_cut",
+    "wrapping": "verify_wrapping",
     "uncertain": "verify_uncertain",
     "uncertain_diagnosis": "verify_uncertain_diagnosis",
 }

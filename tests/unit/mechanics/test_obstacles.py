@@ -87,7 +87,7 @@ def test_touch_is_smooth_and_hardly_changes_the_length(axis: Array) -> None:
     start, errors = around(0.0, 14.0, 0.0), []
     touching = np.arccos(RADIUS / 14.0) + np.arccos(RADIUS / 12.0)
     size = 1e-5
-    for angle in touching + np.linspace(-0.02, 0.3, 60):
+    for angle in touching + np.r_[np.linspace(-0.01, 0.04, 60), 0.3]:
         end = around(angle, 12.0, 0.0)
         found = shape_of(start, end, axis)[1]
         ends = [
@@ -98,12 +98,12 @@ def test_touch_is_smooth_and_hardly_changes_the_length(axis: Array) -> None:
         bend = [(more[1:4] - less[1:4]) / (2.0 * size) for more, less in ends]
         xx, yy, zz, xy, xz, yz = found[4:]
         np.testing.assert_allclose(found[1:4], slope, atol=1e-8)
-        np.testing.assert_allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], bend, atol=1e-5)
+        np.testing.assert_allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], bend, atol=3e-5)
         arc = max(angle - touching, 0.0)
         tangents = np.sqrt(14.0**2 - RADIUS**2) + np.sqrt(12.0**2 - RADIUS**2)
         exact = tangents + RADIUS * arc if arc > 0.0 else np.linalg.norm(end - start)
         errors.append(abs(found[0] - exact))
-    assert 0.002 < max(errors) < LENGTH_ERROR
+    assert 0.05 * LENGTH_ERROR < max(errors) < LENGTH_ERROR
 
 
 def test_an_end_inside_counts_as_on_the_surface() -> None:
