@@ -591,6 +591,12 @@ _ALL = (
         "A ligament is shorter than 5 mm or longer than 200 mm in the scanned pose.",
         "Check its insertions: both are points of the common frame in mm.",
     ),
+    _geometry(
+        "insertion-inside-obstacle",
+        WARNING,
+        "An insertion lies inside the obstacle that its ligament wraps around.",
+        "It counts as on the surface: correct the insertion, or the radius under wrap.",
+    ),
     _geometry("stiffness-odd", WARNING, "A ligament's stiffness is unusually high.", DIVIDE),
     _geometry(
         "stiffness-zero",

@@ -291,6 +291,14 @@ def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
         if not shortest <= length <= longest:
             sentence = f"It is {length:.1f} mm long in the scanned pose."
             yield geometry_finding("ligament-length-odd", where, sentence, {"length_mm": length})
+        if wrap := ligament.wrap:
+            for bone in ("femur", "tibia"):
+                off = float(np.linalg.norm(wrap.from_axis(getattr(ligament, bone))))
+                if off < wrap.radius_mm:
+                    depth = wrap.radius_mm - off
+                    sentence = f"Its insertion on the {bone} is {depth:.1f} mm inside its obstacle."
+                    values = {"depth_mm": depth}
+                    yield geometry_finding("insertion-inside-obstacle", where, sentence, values)
         if ODD_STIFFNESS < stiffness <= IMPOSSIBLE_STIFFNESS:
             sentence = f"Its stiffness is {stiffness:g} kN per unit strain."
             yield geometry_finding("stiffness-odd", where, sentence, {"stiffness_kN": stiffness})

@@ -2,12 +2,14 @@
 
 import re
 import shutil
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.pose import angles_of
 from identknee.runs.arrays import Array
@@ -64,6 +66,10 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
         frame, body = frames[bone], ET.SubElement(bodies, "Body", name=f"{bone}_{side}")
         for tag, value in BODY.items():
             _text(body, tag, value)
+        wraps = ET.SubElement(ET.SubElement(body, "WrapObjectSet"), "objects")
+        for ligament in written.ligaments:
+            if ligament.wrap is not None and ligament.wrap.bone == bone:
+                _wrap_object(wraps, ligament, frame)
         attached = ET.SubElement(body, "attached_geometry")
         for name, surface in zip(names, surfaces[bone], strict=True):
             local = surface.moved(frame.axes, -frame.axes @ frame.origin).scaled(1.0 / MM_PER_M)
@@ -104,12 +110,47 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
             _text(point, "socket_parent_frame", f"/bodyset/{bone}_{side}")
             end = frame.to_local(getattr(ligament, bone)) / MM_PER_M
             _text(point, "location", " ".join(repr(float(x)) for x in end))
+        if ligament.wrap is not None:
+            around = ET.SubElement(ET.SubElement(line, "PathWrapSet"), "objects")
+            around = ET.SubElement(around, "PathWrap", name=f"{ligament.name}_wraps")
+            _text(around, "wrap_object", f"{ligament.name}_wrap")
         _text(element, "linear_stiffness", repr(1000.0 * ligament.stiffness_kN))
         _text(element, "transition_strain", repr(TRANSITION_STRAIN))
         _text(element, "slack_length", repr(slack_length(ligament)))
     ET.indent(root)
     path = folder / f"{stem}.osim"
     return write_atomically(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _wrap_object(objects: Element, ligament: Ligament, frame: Frame) -> None:
+    """Add the obstacle of a ligament to its body's wrap objects."""
+    wrap = ligament.wrap
+    if wrap is None:
+        return
+    kind, turns, quadrant = "WrapSphere", np.zeros(3), "all"
+    if wrap.axis is not None:
+        along = frame.axes @ wrap.axis / np.linalg.norm(wrap.axis)
+        side = frame.axes @ (np.zeros(3) if wrap.side is None else wrap.side)
+        side = side - (side @ along) * along
+        if side.any():
+            quadrant = "x"
+        else:
+            side = np.linalg.svd(along[None])[2][1]
+        side /= np.linalg.norm(side)
+        turn = np.column_stack([side, np.cross(along, side), along])
+        with warnings.catch_warnings():
+            # Where two of the three angles turn about one axis, one of them is as good as zero.
+            warnings.simplefilter("ignore", UserWarning)
+            turns = Rotation.from_matrix(turn).as_euler("XYZ")
+        kind = "WrapCylinder"
+    element = ET.SubElement(objects, kind, name=f"{ligament.name}_wrap")
+    centre = frame.to_local(wrap.centre[None])[0] / MM_PER_M
+    _text(element, "xyz_body_rotation", " ".join(repr(float(x)) for x in turns))
+    _text(element, "translation", " ".join(repr(float(x)) for x in centre))
+    _text(element, "quadrant", quadrant)
+    _text(element, "radius", repr(wrap.radius_mm / MM_PER_M))
+    if wrap.axis is not None:
+        _text(element, "length", "1")
 
 
 def file_name(name: str, ending: str = "") -> str:

@@ -101,7 +101,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
         left_out |= NEEDS_ORDER
     if not has_phase:
         left_out |= NEEDS_PHASE
-    if anatomy(knee).medial_collateral is None:
+    medial = anatomy(knee).medial_collateral
+    if medial is None or knee.ligament(medial).wrap is not None:
         left_out.add(WRAPPING)
     named: dict[str, tuple[Effect, ...]] = {
         name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out

@@ -261,6 +261,11 @@ def mcl_wrapping(knee: Knee) -> InputsChange:
         )
     ligament = knee.ligament(found.medial_collateral)
     bottom, top = knee.tibia_frame.to_local([ligament.tibia, ligament.femur])[:, 1]
+    if ligament.wrap is not None:
+        raise ValueError(
+            f"{WRAPPING} is of a straight ligament, and {ligament.name} has an obstacle; leave the "
+            "effect out"
+        )
     index = [x.name for x in knee.ligaments].index(ligament.name)
     made = amplitudes(WRAPPING, ["lift_mm"], [4.0], lower=[0.0], upper=[12.0])
     place = float((found.joint_line - bottom) / (top - bottom))
