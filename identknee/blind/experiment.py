@@ -15,7 +15,7 @@ from identknee.blind.energy import FemurGrid, TibialSurface, VirtualKnee
 from identknee.laxity.protocol import Protocol
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
-from identknee.runs.errors import InputError
+from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import cache_folder, prepare_folder
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
@@ -256,6 +256,12 @@ class ExperimentRun:
 
 def experiment_of(knee: Knee, protocol: Protocol, exponent: float = EXPONENT) -> Experiment:
     """The experiment on a knee with nothing hidden, at the subject's own ligament values."""
+    around = [x.name for x in knee.ligaments if x.wrap is not None]
+    if around:
+        raise ValueRefused(
+            f"blind cases are of straight ligaments, and {', '.join(around)} wrap",
+            "leave their obstacles out",
+        )
     femur, tibia = knee.femur_frame, knee.tibia_frame
     surfaces = [_subdivided(Surface(vertices=tibia.to_local(x.vertices), faces=x.faces))
                 for x in knee.tibia]  # fmt: skip

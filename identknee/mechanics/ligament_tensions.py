@@ -233,9 +233,7 @@ def _courses_around(lines: LineLigaments, flexion: Array, poses: Array) -> _Cour
     points = np.where(is_tibial, femoral, lines.tibial)
     forces = np.where(is_tibial, gradient, -gradient)
     # A twist moves the tibia along its axes and about them; the femoral end is left behind.
-    moved = np.concatenate(
-        [np.broadcast_to(np.eye(3), hessian.shape), -_crosses(points)], axis=3
-    )
+    moved = np.concatenate([np.broadcast_to(np.eye(3), hessian.shape), -_crosses(points)], axis=3)
     by_twist = -hessian @ moved
     by_twist[..., 3:] += np.where(is_tibial[..., None], 0.0, _crosses(forces))
     return _Courses(
@@ -354,8 +352,7 @@ def line_wrenches(
     by_strain = slope * length / lines.reference_length
     return LineWrenches(
         values=tension[..., None] * pull,
-        by_twist=pull[..., None] * pulled[:, :, None]
-        + tension[..., None, None] * pull_by_twist,
+        by_twist=pull[..., None] * pulled[:, :, None] + tension[..., None, None] * pull_by_twist,
         by_stiffness=per_stiffness[..., None] * pull,
         by_strain=by_strain[..., None] * pull,
     )
@@ -422,5 +419,6 @@ def _crosses(vectors: Array) -> Array:
 
 def _with_moments(points: Array, forces: Array) -> Array:
     """Forces (n, m, ..., 3) at points (..., m, 3) of the tibia, and moments about its origin."""
-    arms = points.reshape(-1, points.shape[-2], *(1,) * (forces.ndim - 3), 3)
+    arms = points if points.ndim > 2 else points[None]
+    arms = arms.reshape(*arms.shape[:2], *(1,) * (forces.ndim - 3), 3)
     return np.concatenate([forces, NM_PER_NMM * np.cross(arms, forces)], axis=-1)

@@ -106,9 +106,9 @@ class FieldArrays(NamedTuple):
 
 # A line ligament: insertions [mm], stiffness [N], reference strain, reference length [mm],
 # transition strain (negative for a spring that pushes too), how far the line is pushed aside [mm]
-# and at which share of the way from the tibia; the obstacle that it wraps around: radius [mm] (0 for
-# none), whether it is the tibia's, centre [mm] and axis in the axes of its bone. A line goes around
-# the axis of a cylinder by the right hand, from femur to tibia; that of a sphere is zero.
+# and at which share of the way from the tibia; the obstacle that it wraps around: its radius [mm],
+# 0 for none, whether it is the tibia's, centre [mm] and axis in the axes of its bone. A line goes
+# around the axis of a cylinder by the right hand, from femur to tibia; that of a sphere is zero.
 LINE = np.dtype(
     [
         ("femoral", float, 3),

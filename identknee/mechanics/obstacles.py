@@ -6,11 +6,7 @@ sphere lies in one plane. Both follow from the way around a circle: two tangents
 
 import math
 
-import numpy as np
-
 from identknee.mechanics.compiled import compiled, compiled_once
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared
 
 # The second derivative of the length jumps where a line begins to touch. It is made continuous over
 # so small an angle that the length is wrong by LENGTH_ERROR [mm] at most: with tangents a and b the
@@ -37,7 +33,7 @@ def straight_shape(e0, e1, e2, shape):
 
 @compiled
 def way_around(start, end, angle, radius):
-    """Length of the way around a circle, and its derivatives by the distance of its end and `angle`.
+    """Length of the way around a circle, with derivatives by the distance of its end and `angle`.
 
     Parameters
     ----------
@@ -53,7 +49,10 @@ def way_around(start, end, angle, radius):
     length, by_end, by_angle, by_end_end, by_end_angle, by_angle_angle
         The length and its derivatives.
     """
-    before, after = math.sqrt(start * start - radius * radius), math.sqrt(end * end - radius * radius)
+    before, after = (
+        math.sqrt(start * start - radius * radius),
+        math.sqrt(end * end - radius * radius),
+    )
     arc = angle - math.atan2(before, radius) - math.atan2(after, radius)
     if arc <= 0.0:
         return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -90,7 +89,7 @@ def way_around(start, end, angle, radius):
 
 @compiled
 def wrapped_shape(start, point, centre, axis, turn, radius, shape):
-    """Write length, gradient and Hessian by `point` of the way to it from `start` around an obstacle.
+    """Write length, gradient and Hessian by `point` of the way there around an obstacle.
 
     Parameters
     ----------

@@ -33,6 +33,7 @@ from identknee.mechanics.equilibria import (
     load_paths,
     paths_of_release,
 )
+from identknee.mechanics.ligament_tensions import line_lengths, wrapped_lines
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, start_pose
@@ -98,10 +99,14 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
     rounding = contact_rounding(knee)
     if rounding:
         contact = replace(contact, law=ContactLaw(rounding=rounding))
+    lines = lines_in_bones(knee)
+    if wrapped_lines(lines).size:
+        # As the mechanics measure it, which round the touch of a line.
+        lines = replace(lines, reference_length=line_lengths(lines, flexion, start))
     return ContactGeometry(
         field=_field(knee, femoral),
         contact=contact,
-        lines=lines_in_bones(knee),
+        lines=lines,
         femoral_rim=rim_distance(femoral, knee.femur.faces),
         tibial_rims=tibial_rims,
         start_flexion=flexion,

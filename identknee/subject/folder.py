@@ -684,14 +684,7 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
         lines += ["", f"[frames.{bone}]", *_rows(origin=frame.origin, axes=frame.axes)]
     if knee.landmarks:
         lines += ["", "[landmarks]", *_rows(**{x.name: x.position for x in knee.landmarks})]
-    for x in knee.ligaments:
-        stiffness, strain = float(x.stiffness_kN), float(x.reference_strain_pct)
-        places = {"name": x.name, "femur": x.femur, "tibia": x.tibia}
-        lines += ["", "[[ligaments]]", *_rows(**places, stiffness_kN=stiffness)]
-        lines += _rows(reference_strain_pct=strain)
-        if x.wrap is not None:
-            own = {name.name: getattr(x.wrap, name.name) for name in fields(Obstacle)}
-            lines += ["[ligaments.wrap]", *_rows(**own | {"radius_mm": float(x.wrap.radius_mm)})]
+    lines += [row for ligament in knee.ligaments for row in ("", *_ligament_rows(ligament))]
     if knee.effects:
         lines += ["", "# Amplitudes of effects are those of a right knee, whose z is lateral."]
     for effect in knee.effects:
@@ -722,6 +715,18 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
     if knee.bounds:
         lines += ["", "[bounds]", *_rows(**{_toml(k): list(x) for k, x in knee.bounds.items()})]
     return "\n".join(lines) + "\n"
+
+
+def _ligament_rows(ligament: Ligament) -> list[str]:
+    """A ligament as its table has it."""
+    x, wrap = ligament, ligament.wrap
+    numbers = {"stiffness_kN": float(x.stiffness_kN)}
+    numbers["reference_strain_pct"] = float(x.reference_strain_pct)
+    rows = ["[[ligaments]]", *_rows(name=x.name, femur=x.femur, tibia=x.tibia, **numbers)]
+    if wrap is not None:
+        own = {"bone": wrap.bone, "centre": wrap.centre, "radius_mm": float(wrap.radius_mm)}
+        rows += ["[ligaments.wrap]", *_rows(**own, axis=wrap.axis, side=wrap.side)]
+    return rows
 
 
 def _obstacle(file: Path, ligament: str, table: ObstacleTable) -> Obstacle:

@@ -714,9 +714,14 @@ class EffectChoice:
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "fixed", tuple(self.fixed))
         # A line of a structure obeys the rules of a ligament's.
-        unloaded = {"stiffness_kN": 0.0, "reference_strain_pct": 0.0}
         like = [
-            Ligament(name=f"a line of {self.name}", femur=femur, tibia=tibia, **unloaded)
+            Ligament(
+                name=f"a line of {self.name}",
+                femur=femur,
+                tibia=tibia,
+                stiffness_kN=0.0,
+                reference_strain_pct=0.0,
+            )
             for femur, tibia in self.lines
         ]
         object.__setattr__(self, "lines", tuple((x.femur, x.tibia) for x in like))

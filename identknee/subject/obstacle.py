@@ -5,8 +5,6 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.mechanics.equilibria import LineLigaments
-from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
 from identknee.runs.errors import ValueRefused
 
@@ -108,17 +106,23 @@ class Obstacle:
         return np.asarray(np.sign(across) * self.axis / np.linalg.norm(self.axis))
 
     def length_of_way(self, femur: Array, tibia: Array) -> float:
-        """Length of the way between insertions in the common frame of the scanned pose [mm]."""
-        line = LineLigaments(
-            femoral=femur[None],
-            tibial=tibia[None],
-            reference_length=np.ones(1),
-            obstacle_radius=self.radius_mm,
-            obstacle_is_tibial=float(self.bone == "tibia"),
-            obstacle_centre=self.centre[None],
-            obstacle_axis=self.turning_axis(femur, tibia)[None],
-        )
-        return float(line_lengths(line, 0.0, np.zeros(5))[0])
+        """Length of the way between insertions in the common frame of the scanned pose [mm].
+
+        Two tangents and an arc; around a cylinder with a rise along its axis.
+        """
+        axis = self.turning_axis(femur, tibia)
+        start, end = self.from_axis(np.array([femur, tibia]))
+        cross, dot = np.cross(start, end), float(start @ end)
+        across = float(np.linalg.norm(cross) if self.axis is None else axis @ cross)
+        angle = np.arctan2(across, dot)
+        if angle < -0.5 * np.pi:
+            angle += 2.0 * np.pi
+        far = np.maximum(np.linalg.norm([start, end], axis=1), self.radius_mm)
+        tangents = np.sqrt(far**2 - self.radius_mm**2)
+        arc = float(angle - np.arctan2(tangents, self.radius_mm).sum())
+        if arc <= 0.0:
+            return float(np.linalg.norm(tibia - femur))
+        return float(np.hypot(tangents.sum() + self.radius_mm * arc, (tibia - femur) @ axis))
 
     def mirrored(self) -> "Obstacle":
         """A copy seen in the mirror z = 0."""

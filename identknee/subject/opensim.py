@@ -329,6 +329,14 @@ def bundle_names(
     return []
 
 
+def straightened(ligament: Ligament) -> Ligament:
+    """The straight line between the insertions of a ligament, with its slack length."""
+    if ligament.wrap is None:
+        return ligament
+    straight, slack = replace(ligament, wrap=None), slack_length(ligament) * MM_PER_M
+    return replace(straight, reference_strain_pct=100.0 * (straight.length / slack - 1.0))
+
+
 def _begins(name: str, beginning: str) -> bool:
     return name.lower().startswith(beginning.lower())
 
@@ -412,10 +420,10 @@ def import_opensim(
     mm. Every ``Blankevoort1991Ligament`` from one to the other becomes a line, its reference strain
     following from its slack length. A line wraps around the cylinder or sphere of its path, and
     around a cylinder in place of an ellipsoid; one that bends at points or wraps around several
-    objects becomes straight. The description lists which were changed. One whose force is switched off is left out, and so are other
-    classes; the command lists them. Contact meshes are looked for beside the file and in
-    ``Geometry``, whatever the case of their names. A tibial mesh in one piece is cut between the
-    plateaus.
+    objects becomes straight. The description lists which were changed. One whose force is switched
+    off is left out, and so are other classes; the command lists them. Contact meshes are looked for
+    beside the file and in ``Geometry``, whatever the case of their names. A tibial mesh in one
+    piece is cut between the plateaus.
 
     Parameters
     ----------
@@ -480,7 +488,7 @@ def imported_knee(
                 kind=LIGAMENT_CLASS, names=wrapping, change="changed", why=MERGED_STRAIGHT
             )
             not_taken = [*not_taken, beside]
-        ligaments = merged(model, ligaments, missing)
+        ligaments = merged(model, [straightened(x) for x in ligaments], missing)
     _check_files(bones, meshes)
     femur, about_femur = _meshes(model, meshes, bones.femur)
     tibia, about_tibia = _meshes(model, meshes, bones.tibia)

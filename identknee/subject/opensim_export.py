@@ -31,6 +31,7 @@ from identknee.subject.opensim import (
     lines_of,
     mesh_file,
     slack_length,
+    straightened,
     unread_names,
 )
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
@@ -285,7 +286,8 @@ def _changed(knee: Knee, bones: Bones) -> Iterator[tuple[OsimLine, Ligament]]:
     found, not_taken = lines_of(bones)
     lines = {x.ligament.name: x for x in found}
     missing = unread_names(bones, not_taken)
-    ligaments = [x.ligament for x in lines.values()]
+    # Merged lines are of straight ones; the slack lengths are the same.
+    ligaments = [straightened(x.ligament) for x in lines.values()]
     for wanted in knee.ligaments:
         if wanted.name in lines:
             yield lines[wanted.name], wanted

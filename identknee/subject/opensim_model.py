@@ -178,7 +178,7 @@ class OsimModel:
         return values
 
     def transform(self, element: Element, orientation: str) -> Transform:
-        """Where a frame is in that in which it is given: its `orientation`, X-Y-Z, and translation."""
+        """Where a frame is in its outer one, from its X-Y-Z `orientation` and translation."""
         turns = self.vector(element, orientation, "0 0 0")
         return Transform(
             rotation=_about(0, turns[0]) @ _about(1, turns[1]) @ _about(2, turns[2]),

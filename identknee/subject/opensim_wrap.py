@@ -133,9 +133,7 @@ def _side(found: WrapObject) -> Array | None:
     return np.asarray((-1.0 if quadrant.startswith("-") else 1.0) * found.frame.rotation[:, axis])
 
 
-def _around_ellipsoid(
-    model: OsimModel, found: WrapObject, femur: Array, tibia: Array
-) -> Wrapping:
+def _around_ellipsoid(model: OsimModel, found: WrapObject, femur: Array, tibia: Array) -> Wrapping:
     radii = model.vector(found.element, "dimensions") * MM_PER_M
     into = found.frame.inverse
 
@@ -219,7 +217,7 @@ def _in_plane(start: Array, end: Array, radii: Array, up: Array) -> tuple[float,
     """
     span = float(np.linalg.norm(end - start))
     along = (end - start) / span
-    # (start + a along + b up) on the ellipsoid: its circle in axes in which that is the unit sphere.
+    # start + a along + b up on the ellipsoid: a circle where lengths are divided by the radii.
     s, u, v = start / radii, along / radii, up / radii
     basis = np.column_stack([u, v])
     q = basis.T @ basis
@@ -232,7 +230,7 @@ def _in_plane(start: Array, end: Array, radii: Array, up: Array) -> tuple[float,
     axes = vectors * np.sqrt(rest / values)
     section = middle + np.column_stack([np.cos(angles), np.sin(angles)]) @ axes.T
     crossings = np.roots([u @ u, 2.0 * (s @ u), s @ s - 1.0])
-    if np.isrealobj(crossings) and 0.0 < crossings.min() and crossings.max() < span:
+    if np.isrealobj(crossings) and crossings.min() > 0.0 and crossings.max() < span:
         above = section[section[:, 1] > 0.0]
         corners = np.vstack([[0.0, 0.0], [span, 0.0], above])
         hull = ConvexHull(corners)

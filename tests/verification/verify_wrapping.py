@@ -16,16 +16,16 @@ from scipy.spatial.transform import Rotation
 from identknee.laxity.protocol import LOADS, Protocol, trial_name
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.mechanics.ligament_tensions import ligament_tensions
-from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
+from identknee.mechanics.pose import coordinates_from_pose
 from identknee.model.laxity_model import LaxityModel, lines_in_bones
 from identknee.runs.arrays import Array
+from identknee.subject.examples import opensim_file
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee, Ligament
 from identknee.subject.obstacle import Obstacle
 from identknee.subject.opensim import bones_of, imported_knee
 from identknee.subject.opensim_model import MM_PER_M, OsimModel
 from identknee.subject.opensim_wrap import wrap_objects
-from identknee.subject.examples import opensim_file
 
 IMPORTED, SUBJECT, MESH = "lenhart2015", "lenhart2015_stable", "medium"
 N_POSES, SEED, STEP = 100, 55, 1e-4
@@ -68,7 +68,7 @@ def measure(options: argparse.Namespace) -> Row:
         which = slice(start, start + len(paths))
         start = which.stop
         found = _own_lengths([x for x, _ in paths], poses)
-        bar = {} if "ellipsoids" in name else {"bar": 0.1}
+        bar = None if "ellipsoids" in name else 0.1
         for what, ours, theirs, unit in (
             ("lengths", found[0], lengths[:, which], "mm"),
             ("slopes of lengths", found[1][:, :, :2], slopes[:, which], "mm a radian"),
@@ -80,7 +80,7 @@ def measure(options: argparse.Namespace) -> Row:
                     unit=unit,
                     count=ours.shape[0] * ours.shape[1],
                     interval=WORST,
-                    **bar,
+                    bar=bar,
                 )
             )
         measures.append(
@@ -232,11 +232,13 @@ def _laxity(wrapped: Knee, solutions: list[dict[str, Any]]) -> list[Measure]:
     return [
         Measure(
             what="laxity with two cylinders: largest difference of lengths",
-            value=float(np.nanmax(apart[:, TRANSLATIONS])), unit="mm", bar=0.1, count=len(kept), interval=WORST,
+            value=float(np.nanmax(apart[:, TRANSLATIONS])), unit="mm", bar=0.1,
+            count=len(kept), interval=WORST,
         ),
         Measure(
             what="laxity with two cylinders: largest difference of angles",
-            value=float(np.nanmax(apart[:, ROTATIONS])), unit="deg", bar=0.2, count=len(kept), interval=WORST,
+            value=float(np.nanmax(apart[:, ROTATIONS])), unit="deg", bar=0.2,
+            count=len(kept), interval=WORST,
         ),
         Measure(
             what="what the cylinders change in our laxity, largest angle",

@@ -505,8 +505,8 @@ class _Perturbed:
 
     copies: "_Replicas" = entry("Replicas of the inputs with one amplitude changed each")
     moves: Array = entry(
-        "Differences of the table of lines, shape ``(a, m, N_COLUMNS)``; without those of self-contained "
-        "effects"
+        "Differences of the table of lines, shape ``(a, m, N_COLUMNS)``; without those of "
+        "self-contained effects"
     )
     frames: tuple[tuple[Array, Array, slice], ...] = entry(
         "Axes and origins of measured frames, and the amplitudes that they belong to"

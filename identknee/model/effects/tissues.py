@@ -204,9 +204,7 @@ def _split(ligament: IntArray, setting: MechanicsInputs, values: Array) -> Mecha
     aside = side[:, None, None] * places[row, of]
     half = np.where(owner >= 0, 0.5, 1.0)
     whole = lines.take(line)
-    bundled = replace(
-        whole, femoral=whole.femoral + aside[:, 0], tibial=whole.tibial + aside[:, 1]
-    )
+    bundled = replace(whole, femoral=whole.femoral + aside[:, 0], tibial=whole.tibial + aside[:, 1])
     split = replace(
         setting,
         stiffness=half * setting.stiffness[line],

@@ -117,7 +117,8 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
         femoral=np.zeros((1, 3)), tibial=np.ones((1, 3)), reference_length=np.array([3.0**0.5])
     )
     (line,) = lines.arrays(np.array([8000.0]), np.array([0.02])).tolist()
-    assert line[2:] == (8000.0, 0.02, 3.0**0.5, TRANSITION_STRAIN, 0.0, 0.5)
+    assert line[2:8] == (8000.0, 0.02, 3.0**0.5, TRANSITION_STRAIN, 0.0, 0.5)
+    assert line[8:10] == (0.0, 0.0)
     assert [x.tolist() for x in line[:2]] == [[0.0] * 3, [1.0] * 3]
     assert law == (1.0, 0.0)
 

@@ -117,13 +117,14 @@ def test_an_end_inside_counts_as_on_the_surface() -> None:
 
 LINES = LineLigaments(
     femoral=np.array([[0.0, 20.0, 25.0], [4.0, 22.0, -26.0], [0.0, 18.0, 8.0], [-3.0, 16.0, -9.0]]),
-    tibial=np.array([[3.0, -42.0, 26.0], [2.0, -55.0, -24.0], [5.0, -12.0, 6.0], [-8.0, -13.0, 1.0]]),
+    tibial=np.array([[3.0, -42.0, 26.0], [2.0, -55.0, -24.0], [5.0, -12.0, 6.0], [-8.0, -13, 1]]),
     reference_length=np.array([60.0, 75.0, 31.0, 30.0]),
     obstacle_radius=np.array([9.0, 14.0, 9.0, 0.0]),
     obstacle_is_tibial=np.array([0.0, 1.0, 1.0, 0.0]),
-    obstacle_centre=np.array([[1.0, 2.0, 20.0], [0.0, -8.0, -14.0], [3.0, 6.0, 5.0], [0.0, 0.0, 0.0]]),
-    obstacle_axis=np.array([[-1.0, 0.0, 0.0], [0.98, 0.0, np.sqrt(1 - 0.98**2)], [0, 0, 0], [0, 0, 0]]),
+    obstacle_centre=np.array([[1.0, 2.0, 20.0], [0.0, -8.0, -14.0], [3.0, 6.0, 5.0], NO_AXIS]),
+    obstacle_axis=np.array([[-1.0, 0.0, 0.0], [0.96, 0.0, 0.28], NO_AXIS, NO_AXIS]),
 )  # fmt: skip
+IS_TIBIAL = np.asarray(LINES.obstacle_is_tibial)
 LAWS = np.array([6e3, 9e3, 4e3, 5e3]), np.array([0.02, 0.05, 0.08, 0.03])
 FLEXION = np.radians([12.0, 55.0])
 POSES = np.array([[0.05, -0.1, 1.0, -2.0, 3.0], [-0.04, 0.2, -2.0, -3.0, 1.0]])
@@ -179,21 +180,17 @@ def test_a_mirrored_pair_shows_that_the_obstacles_bone_is_a_matter_of_view() -> 
         tibial=LINES.tibial,
         reference_length=LINES.reference_length,
         obstacle_radius=LINES.obstacle_radius,
-        obstacle_is_tibial=1.0 - np.asarray(LINES.obstacle_is_tibial),
+        obstacle_is_tibial=1.0 - IS_TIBIAL,
         obstacle_centre=np.array(
             [
                 (placed.to_femur if tibial else placed.to_tibia)(x[None])[0]
-                for x, tibial in zip(
-                    np.asarray(LINES.obstacle_centre), LINES.obstacle_is_tibial, strict=True
-                )
+                for x, tibial in zip(np.asarray(LINES.obstacle_centre), IS_TIBIAL, strict=True)
             ]
         ),
         obstacle_axis=np.array(
             [
                 (placed.rotation if tibial else placed.rotation.T) @ x
-                for x, tibial in zip(
-                    np.asarray(LINES.obstacle_axis), LINES.obstacle_is_tibial, strict=True
-                )
+                for x, tibial in zip(np.asarray(LINES.obstacle_axis), IS_TIBIAL, strict=True)
             ]
         ),
     )

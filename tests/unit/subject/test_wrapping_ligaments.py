@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from identknee.model.laxity_model import LaxityModel, lines_in_bones
 from identknee.runs.errors import InputError
 from identknee.subject.check import check_geometry
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.knee import Knee
+from identknee.subject.knee import Knee, Side
 from identknee.subject.obstacle import Obstacle
 from identknee.subject.opensim import import_opensim, imported_knee
 from identknee.subject.opensim_export import write_opensim
@@ -25,7 +26,7 @@ def of_lines(knee: Knee) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_subject_file_holds_the_obstacles(tmp_path: Path, side: str) -> None:
+def test_a_subject_file_holds_the_obstacles(tmp_path: Path, side: Side) -> None:
     knee = replace(wrapped_knee(), side=side)
     found = read_subject(write_subject(knee, tmp_path / "subject"))
     np.testing.assert_allclose(of_lines(found), of_lines(knee), atol=1e-9)
@@ -43,8 +44,8 @@ def test_a_minimal_opensim_model_is_the_wrapped_knee_again(tmp_path: Path) -> No
         np.testing.assert_allclose(getattr(lines, name), getattr(wanted, name), atol=1e-7)
     for name in ("obstacle_centre", "obstacle_axis"):
         np.testing.assert_allclose(getattr(lines, name), getattr(wanted, name), atol=1e-6)
-    strains = [[y.reference_strain_pct for y in x.ligaments] for x in (found, knee)]
-    np.testing.assert_allclose(*strains, atol=1e-6)
+    strains, as_given = ([y.reference_strain_pct for y in x.ligaments] for x in (found, knee))
+    np.testing.assert_allclose(strains, as_given, atol=1e-6)
 
 
 def test_slack_lengths_of_a_published_model_mean_its_wrapped_paths() -> None:
@@ -75,7 +76,8 @@ def test_around_an_ellipsoid_that_is_a_sphere() -> None:
 def test_a_left_knee_wraps_as_its_mirror_image(tmp_path: Path) -> None:
     protocol = small_protocol()
     found = []
-    for side in ("right", "left"):
+    sides: tuple[Side, ...] = ("right", "left")
+    for side in sides:
         made = replace(wrapped_knee(), side=side)
         knee = read_subject(write_subject(made, tmp_path / side))
         model = LaxityModel(knee=knee, protocol=protocol)
@@ -105,7 +107,7 @@ def test_an_obstacle_that_is_not_touched_changes_nothing() -> None:
         ({"centre": np.array([1e7, 0.0, 0.0])}, "centre"),
     ],
 )
-def test_what_is_no_obstacle_is_refused(wrong: dict[str, object], named: str) -> None:
+def test_what_is_no_obstacle_is_refused(wrong: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         replace(OBSTACLES["LCL"], **wrong)
 
@@ -142,7 +144,7 @@ def test_a_file_says_which_ligament_has_a_wrong_obstacle(tmp_path: Path) -> None
 def test_an_insertion_inside_its_obstacle_is_found() -> None:
     knee = wrapped_knee()
     mcl = knee.ligament("MCL")
-    inside = replace(OBSTACLES["MCL"], centre=mcl.tibia + [0.0, 3.0, 2.0])
+    inside = replace(OBSTACLES["MCL"], centre=mcl.tibia + np.array([0.0, 3.0, 2.0]))
     made = [replace(x, wrap=inside) if x.name == "MCL" else x for x in knee.ligaments]
     codes = {x.code: x for x in check_geometry(knee.with_ligaments(made))}
     assert codes["insertion-inside-obstacle"].values["depth_mm"] > 5.0
