@@ -180,6 +180,61 @@ def line_lengths(lines: LineLigaments, flexion: float, pose: Array) -> Array:
     return _lengths(lines, np.array([flexion]), pose[None])[0].reshape(-1)
 
 
+# Between corners of a drawn arc [rad].
+ARC_STEP = 0.1
+
+
+def line_courses(lines: LineLigaments, placement: Placement) -> tuple[Array, ...]:
+    """The way of each line from femur to tibia as corners in femoral axes [mm], ``(k, 3)`` each."""
+    ends = zip(lines.femoral, placement.to_femur(lines.tibial), strict=True)
+    offset, share = np.asarray(lines.wrap_offset), np.asarray(lines.wrap_place)
+    centres, axes = np.array(lines.obstacle_centre), np.array(lines.obstacle_axis)
+    tibial = lines.with_obstacles_of(1)
+    centres[tibial] = placement.to_femur(centres[tibial])
+    axes[tibial] = axes[tibial] @ placement.rotation.T
+    courses = []
+    for i, (start, end) in enumerate(ends):
+        between = np.zeros((0, 3))
+        radius = float(np.asarray(lines.obstacle_radius)[i])
+        if radius > 0.0:
+            between = arc_of_way(start, end, centres[i], axes[i], radius)
+        elif offset[i] != 0.0:
+            between = (end + share[i] * (start - end) + [0.0, 0.0, offset[i]])[None]
+        courses.append(np.vstack([start, between, end]))
+    return tuple(courses)
+
+
+def arc_of_way(start: Array, end: Array, centre: Array, axis: Array, radius: float) -> Array:
+    """Corners of the way where it touches a cylinder or sphere, shape ``(k, 3)``; none elsewhere.
+
+    Parameters
+    ----------
+    start, end
+        Where the way begins and ends [mm].
+    centre, axis, radius
+        As in `LineLigaments`.
+    """
+    along = np.array([(x - centre) @ axis for x in (start, end)])
+    off = np.array([start, end]) - centre - along[:, None] * axis
+    far = np.linalg.norm(off, axis=1)
+    across = axis if axis.any() else np.cross(*off)
+    across = across / max(float(np.linalg.norm(across)), 1e-12)
+    angle = float(np.arctan2(np.cross(*off) @ across, off[0] @ off[1]))
+    angle += 2.0 * np.pi if angle < -0.5 * np.pi else 0.0
+    tangents = np.sqrt(np.maximum(far**2 - radius**2, 0.0))
+    first, last = np.arctan2(tangents, radius)
+    arc = angle - first - last
+    if arc <= 0.0 or far[0] == 0.0:
+        return np.zeros((0, 3))
+    turned = np.linspace(first, first + arc, 2 + int(arc / ARC_STEP))
+    out = off[0] / far[0]
+    circle = np.outer(np.cos(turned), out) + np.outer(np.sin(turned), np.cross(across, out))
+    # Rolled out, the way rises evenly.
+    walked = tangents[0] + radius * (turned - first)
+    rise = along[0] + (along[1] - along[0]) * walked / (tangents.sum() + radius * arc)
+    return np.asarray(centre + radius * circle + rise[:, None] * axis)
+
+
 def _lengths(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array, Array]:
     """Lengths [mm], (n, m), and their derivatives by the poses [mm/rad, mm/mm], (n, m, 5)."""
     offset, tibial, turned_z = _offsets(lines, flexion, poses)

@@ -6,6 +6,7 @@ import io
 import re
 import zlib
 from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -17,7 +18,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.distance_field import ContactLaw
-from identknee.mechanics.ligament_tensions import ligament_tensions, line_lengths
+from identknee.mechanics.ligament_tensions import ligament_tensions, line_courses, line_lengths
 from identknee.mechanics.pose import Placement, place
 from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
@@ -59,7 +60,7 @@ TYPES: dict[str, np.dtype[Any]] = {
 
 def polydata(
     points: Array,
-    lines: IntArray,
+    lines: Sequence[IntArray],
     triangles: IntArray,
     values: Mapping[str, ArrayLike],
     words: Mapping[str, Sequence[str]],
@@ -71,7 +72,7 @@ def polydata(
     points
         Shape ``(n, 3)``.
     lines, triangles
-        Numbers of their points, shapes ``(k, 2)`` and ``(m, 3)``.
+        Numbers of their points: one array for each of k lines, and shape ``(m, 3)``.
     values
         By name a number of each line, then of each triangle, ``(k + m,)``; NaN where it has none.
     words
@@ -104,8 +105,8 @@ def polydata(
     _add(place, "Points", "Float32", points, NumberOfComponents="3")
     for kind, cells in (("Lines", lines), ("Polys", triangles)):
         held = ET.SubElement(piece, kind)
-        _add(held, "connectivity", "Int64", cells)
-        _add(held, "offsets", "Int64", cells.shape[1] * np.arange(1, len(cells) + 1))
+        _add(held, "connectivity", "Int64", np.concatenate([*cells, np.zeros(0, int)]))
+        _add(held, "offsets", "Int64", np.cumsum([len(x) for x in cells]))
     cell_data = ET.SubElement(piece, "CellData")
     for name, given in values.items():
         own = np.asarray(given)
@@ -191,10 +192,10 @@ class _Poses:
         """Content of the file of a trial."""
         knee = self._model.knee
         placement = place(float(self._flexion[trial]), self._poses[trial])
-        lines = np.asarray(self._lines.femoral), placement.to_femur(np.asarray(self._lines.tibial))
-        n = len(lines[0])
+        lines = line_courses(self._lines, placement)
+        n, corners = len(lines), np.cumsum([0, *(len(x) for x in lines)])
         sheets = [self._femur, *(placement.to_femur(x) for x in self._tibia)]
-        starts = np.cumsum([2 * n, *(len(x) for x in sheets)])
+        starts = np.cumsum([corners[-1], *(len(x) for x in sheets)])
         surfaces = (knee.femur, *knee.tibia)
         # The scan of a left knee is seen in a mirror, which turns its triangles round.
         order = slice(None, None, -1 if knee.side == "left" else 1)
@@ -211,7 +212,7 @@ class _Poses:
         own = [x.name for x in self._model.knee.ligaments]
         return polydata(
             knee.in_scan_frame(knee.femur_frame.to_common(self._field.to_field(places))),
-            np.column_stack([np.arange(n), n + np.arange(n)]),
+            [np.arange(*x) for x in pairwise(corners.tolist())],
             np.concatenate(triangles),
             {
                 "part": np.concatenate([len(BONES) + np.arange(n), *numbers]),

@@ -1,6 +1,7 @@
 """A picture of a knee: its surfaces, ligaments and axes, as Figure 1 of the paper shows them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,9 @@ from numpy.typing import ArrayLike
 
 from identknee.mechanics.contact_points import distances
 from identknee.mechanics.distance_field import DistanceField
+from identknee.mechanics.ligament_tensions import line_courses
 from identknee.mechanics.pose import Placement, place, start_pose
+from identknee.model.laxity_model import lines_in_bones
 from identknee.report.canvas import Figure
 from identknee.report.figures import show_figures
 from identknee.runs.arrays import Array, IntArray, frozen
@@ -107,14 +110,17 @@ def draw_scene(
     placement = _placement(knee, pose, flexion_deg)
     femur = knee.femur_frame.to_local(knee.femur.vertices)
     tibia = [placement.to_femur(knee.tibia_frame.to_local(x.vertices)) for x in knee.tibia]
-    femoral = knee.femur_frame.to_local([x.femur for x in knee.ligaments])
     tibial = placement.to_femur(knee.tibia_frame.to_local([x.tibia for x in knee.ligaments]))
     parts = [_triangles(view, femur, knee.femur.faces, FEMUR, OPACITY)]
     parts += [
         _triangles(view, vertices, surface.faces, TIBIA, 1.0)
         for vertices, surface in zip(tibia, knee.tibia, strict=True)
     ]
-    parts += [_ribbon(view, a, b) for a, b in zip(femoral, tibial, strict=True)]
+    parts += [
+        _ribbon(view, a, b, max(2, PIECES // (len(course) - 1)))
+        for course in line_courses(lines_in_bones(knee), placement)
+        for a, b in pairwise(course)
+    ]
     corners = [polygon for part in parts for polygon in part.corners]
     colours = np.concatenate([part.colours for part in parts])
     smooth = np.concatenate([np.full(len(part.depths), part.smooth) for part in parts])
@@ -145,8 +151,11 @@ def draw_scene(
             ha="left" if right > 3 else "right" if right < -3 else "center",
             va="center" if abs(up) < 4 else "bottom" if up > 0 else "top",
         )
-    names = [x.name for x in knee.ligaments]
-    places = view.project(tibial)[:, :2]
+    group_of = {member: group.name for group in knee.groups for member in group.members}
+    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    names = list(dict.fromkeys(owners))
+    ends = view.project(tibial)[:, :2]
+    places = np.array([ends[[x == name for x in owners]].mean(axis=0) for name in names])
     middle = places[:, 0].mean()
     taken: list[tuple[float, float, float]] = []
     for name, (x, y) in zip(names, places, strict=True):
@@ -240,16 +249,16 @@ def _triangles(
     return _Polygons(corners=corners[..., :2], depths=corners[..., 2].mean(axis=1), colours=colours)
 
 
-def _ribbon(view: View, start: Array, end: Array) -> _Polygons:
-    """A ligament as a band that faces the reader, in pieces that are hidden one by one."""
-    along = np.linspace(view.project(start), view.project(end), PIECES + 1)
+def _ribbon(view: View, start: Array, end: Array, pieces: int) -> _Polygons:
+    """Part of a ligament as a band that faces the reader, in pieces that are hidden one by one."""
+    along = np.linspace(view.project(start), view.project(end), pieces + 1)
     direction = along[-1, :2] - along[0, :2]
     across = np.array([-direction[1], direction[0]]) / max(float(np.hypot(*direction)), 1e-9)
     sides = 0.5 * LIGAMENT_WIDTH * across
     before, after = along[:-1, :2], along[1:, :2]
     corners = np.stack([before - sides, before + sides, after + sides, after - sides], axis=1)
     depths = 0.5 * (along[:-1, 2] + along[1:, 2])
-    colours = np.tile([*to_rgb(LIGAMENT), 1.0], (PIECES, 1))
+    colours = np.tile([*to_rgb(LIGAMENT), 1.0], (pieces, 1))
     return _Polygons(corners=corners, depths=depths, colours=colours, smooth=True)
 
 

@@ -200,7 +200,7 @@ def _surface(kind: str) -> Callable[[bytes, Path], str]:
 
 def _vtp(surface: Surface) -> bytes:
     own = np.zeros(len(surface.faces))
-    none = np.zeros((0, 2), int)
+    none: list[IntArray] = []
     return polydata(surface.vertices, none, surface.faces, {"gap_mm": own}, {"trial": ["a"]})
 
 

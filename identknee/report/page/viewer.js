@@ -95,7 +95,9 @@
   function course(trial, line) {
     const end = moved(trial, line.tibial);
     const points = [line.femoral, end];
-    if (line.lift !== 0) {
+    if (line.ways) {
+      points.splice(1, 0, ...line.ways[scene.trials.indexOf(trial)]);
+    } else if (line.lift !== 0) {
       const aside = end.map((x, i) => x + line.place * (line.femoral[i] - x));
       aside[2] += line.lift;
       points.splice(1, 0, aside);

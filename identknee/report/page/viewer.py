@@ -13,7 +13,7 @@ from identknee.laxity.protocol import Protocol, nominal_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.equilibria import Continuation, LineLigaments
-from identknee.mechanics.ligament_tensions import ligament_tensions
+from identknee.mechanics.ligament_tensions import ligament_tensions, line_courses, wrapped_lines
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.contact_loads import contact_values
@@ -187,13 +187,12 @@ def model_scene(
     knee = model.knee
     femur = _drawn(knee.femur, knee.femur_frame, setting, 0)
     tibia = _drawn(joined(*knee.tibia), knee.tibia_frame, setting, 1)
-    columns = ("femoral", "tibial", "reference_length", "transition", "wrap_offset", "wrap_place")
     return KneeScene(
         knee=knee,
         femur=femur,
         tibia=tibia,
         names=tuple(names[i] for i in drawn),
-        lines=LineLigaments(**{x: np.asarray(getattr(lines, x))[drawn] for x in columns}),
+        lines=lines.take(drawn),
         missing_line=None if missing_line is None else _in_bones(knee, setting, missing_line),
         trials=_trials(model, prediction, setting, tensions[:, drawn], tibia),
     )
@@ -315,6 +314,12 @@ def _data(scene: KneeScene) -> dict[str, Any]:
     owners, forces = _owners(scene)
     depths = np.concatenate([x.depths for x in scene.trials])
     missing = scene.missing_line
+    courses = [line_courses(lines, x.placement) for x in scene.trials]
+    # Corners between the ends in every trial, of lines around obstacles.
+    ways = {
+        i: [_rounded(own[i][1:-1] * mirror, 2) for own in courses]
+        for i in wrapped_lines(lines).tolist()
+    }
     return {
         "lateral": mirror[2],
         "femur": _mesh(scene.femur, mirror),
@@ -327,6 +332,7 @@ def _data(scene: KneeScene) -> dict[str, Any]:
                 "tibial": _rounded(lines.tibial[i] * mirror, 3),
                 "lift": _rounded(np.asarray(lines.wrap_offset)[i] * mirror[2], 3),
                 "place": _rounded(np.asarray(lines.wrap_place)[i], 4),
+                "ways": ways.get(i),
             }
             for i, name in enumerate(scene.names)
         ],

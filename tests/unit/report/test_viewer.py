@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from bundled_knee import bundled_knee
 from posed_knees import NAMES, posed_reference
+from wrapped_knee import wrapped_knee
 
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.trial_words import setting_words
 from identknee.mechanics.contact_points import contact_places
 from identknee.mechanics.distance_field import ContactLaw
+from identknee.mechanics.ligament_tensions import line_lengths
+from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
@@ -175,6 +178,31 @@ def test_pushed_line_bends(reference_model: LaxityModel) -> None:
     theta[-1] = 6.0
     lifts = [x["lift"] for x in data_in(viewer_html(model_scene(model, theta)))["lines"]]
     assert sorted(lifts) == [-6.0, *[0.0] * (len(lifts) - 1)]
+
+
+def test_lines_around_obstacles_are_drawn_as_they_run() -> None:
+    """Corners between the ends, whose chain is as long as the ligament."""
+    model = LaxityModel(knee=wrapped_knee(), protocol=few_trials(2))
+    made = model_scene(model, np.array(model.parameters.center))
+    data = data_in(viewer_html(made))
+    lines = {data["ligaments"][x["of"]]: x for x in data["lines"]}
+    assert lines["ACL"]["ways"] is None
+    setting = model.setting(np.array(model.parameters.center))
+    for k, trial in enumerate(made.trials):
+        chain = np.array(
+            [
+                lines["MCL"]["femoral"],
+                *lines["MCL"]["ways"][k],
+                trial.placement.to_femur(np.array(lines["MCL"]["tibial"])[None])[0],
+            ]
+        )
+        assert len(chain) > 3
+        coordinates = pose_from_coordinates(trial.coordinates[None])[0]
+        flexion = float(np.radians(model.protocol.flexion_deg[k]))
+        wanted = line_lengths(setting.measured_lines, flexion, coordinates)[3]
+        assert np.linalg.norm(np.diff(chain, axis=0), axis=1).sum() == pytest.approx(
+            wanted, abs=0.02
+        )
 
 
 def test_offset_of_flexion_turns_the_tibia(reference_model: LaxityModel) -> None:
