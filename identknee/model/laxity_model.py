@@ -336,6 +336,9 @@ class LaxityModel:
         extension = EffectStack(effects=effects)
         if effects and self.contact == "mesh":
             raise ValueError('effects need contact="field": mesh contact has no derivatives')
+        around = [x.name for x in self.knee.ligaments if x.wrap is not None]
+        if around and self.contact == "mesh":
+            raise ValueError(f'{", ".join(around)} wrap, which needs contact="field"')
         units = tied(self.knee)
         parameters = knee_parameters(self.knee, units, extension.parameters)
         derived = {"tied": units, "joint": joint, "paths": paths, "extension": extension}

@@ -526,14 +526,12 @@ class Ligament:
             why = f"a ligament needs a name without . , = or quotes, got {self.name!r}"
             raise ValueRefused(why, "rename it")
         for bone in ("femur", "tibia"):
-            place = frozen(getattr(self, bone), 3, name=f"the {bone} insertion of {self.name}")
+            where = f"the {bone} insertion of {self.name}"
+            place = frozen(getattr(self, bone), 3, name=where)
             if not np.isfinite(place).all():
-                raise ValueError(
-                    f"the {bone} insertion of {self.name} must be finite numbers in mm, "
-                    f"got {place.tolist()}"
-                )
+                raise ValueError(f"{where} must be finite numbers in mm, got {place.tolist()}")
             if far := implausible_coordinates(place):
-                raise ValueRefused(f"the {bone} insertion of {self.name} lies {far}", CHECK_UNITS)
+                raise ValueRefused(f"{where} lies {far}", CHECK_UNITS)
             object.__setattr__(self, bone, place)
         if not np.any(self.tibia - self.femur):
             why = f"{self.name} has length zero: both insertions lie at {self.femur.tolist()} mm"

@@ -10,6 +10,7 @@ from small_knee import small_protocol
 from wrapped_knee import OBSTACLES, wrapped_knee
 
 import identknee as ik
+from identknee.blind.experiment import experiment_of
 from identknee.model.laxity_model import LaxityModel, lines_in_bones
 from identknee.runs.errors import InputError
 from identknee.subject.check import check_geometry
@@ -149,3 +150,10 @@ def test_an_insertion_inside_its_obstacle_is_found() -> None:
     codes = {x.code: x for x in check_geometry(knee.with_ligaments(made))}
     assert codes["insertion-inside-obstacle"].values["depth_mm"] > 5.0
     assert "insertion-inside-obstacle" not in {x.code for x in check_geometry(knee)}
+
+
+def test_mesh_contact_and_blind_cases_are_of_straight_ligaments() -> None:
+    with pytest.raises(ValueError, match=r"PCL, LCL, MCL wrap"):
+        LaxityModel(knee=wrapped_knee(), protocol=small_protocol(), contact="mesh")
+    with pytest.raises(ValueError, match="straight ligaments"):
+        experiment_of(wrapped_knee(), small_protocol())
