@@ -1,3 +1,4 @@
+from .bone_wraps import with_wraps as with_wraps
 from .capsule import with_capsule as with_capsule
 from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame

@@ -129,3 +129,40 @@ class Obstacle:
         mirror = np.array([1.0, 1.0, -1.0])
         axis, side = (None if x is None else x * mirror for x in (self.axis, self.side))
         return replace(self, centre=self.centre * mirror, axis=axis, side=side)
+
+
+def way_over(section: Array, span: float) -> tuple[float, Array]:
+    """Length of the shortest way in a plane over what rises above a straight line.
+
+    Parameters
+    ----------
+    section
+        Points above the line: along it from its beginning, and up from it [mm], shape ``(n, 2)``.
+    span
+        Length of the line [mm].
+
+    Returns
+    -------
+    length
+        Of the way [mm].
+    touching
+        The points that it touches, from the beginning on, shape ``(k, 2)``.
+    """
+    if not len(section):
+        return span, section
+    # Loaded late: it takes longer than a simulation.
+    from scipy.spatial import ConvexHull
+
+    corners = np.vstack([[0.0, 0.0], [span, 0.0], section])
+    hull = ConvexHull(corners)
+    touching = corners[np.sort(hull.vertices[hull.vertices > 1])]
+    return float(hull.area) - span, touching[np.argsort(touching[:, 0])]
+
+
+def circle_through(corners: Array) -> tuple[Array, float]:
+    """Centre (2,) and radius of the circle through three corners ``(3, 2)``."""
+    a, b, c = corners
+    sides = 2.0 * np.array([b - a, c - a])
+    right = np.array([b @ b - a @ a, c @ c - a @ a])
+    middle = np.linalg.solve(sides, right)
+    return middle, float(np.linalg.norm(a - middle))

@@ -10,12 +10,11 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.spatial import ConvexHull
 
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.obstacle import Obstacle, circle_through, way_over
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform
 
 Bone = Literal["femur", "tibia"]
@@ -200,7 +199,7 @@ def shortest_way(start: Array, end: Array, radii: Array) -> EllipsoidWay:
     turn = float(best.x) if best.fun < length(0.0) - 1e-9 else 0.0
     up = np.cos(turn) * out + np.sin(turn) * across
     found, corners = _in_plane(start, end, radii, up)
-    middle, radius = _circle(corners)
+    middle, radius = circle_through(corners)
     return EllipsoidWay(
         length=found,
         centre=start + middle[0] * along + middle[1] * up,
@@ -231,25 +230,11 @@ def _in_plane(start: Array, end: Array, radii: Array, up: Array) -> tuple[float,
     section = middle + np.column_stack([np.cos(angles), np.sin(angles)]) @ axes.T
     crossings = np.roots([u @ u, 2.0 * (s @ u), s @ s - 1.0])
     if np.isrealobj(crossings) and crossings.min() > 0.0 and crossings.max() < span:
-        above = section[section[:, 1] > 0.0]
-        corners = np.vstack([[0.0, 0.0], [span, 0.0], above])
-        hull = ConvexHull(corners)
-        touching = np.sort(hull.vertices[hull.vertices > 1])
-        touching = touching[np.argsort(corners[touching, 0])]
+        length, touching = way_over(section[section[:, 1] > 0.0], span)
         if len(touching) > 4:
-            chosen = touching[[1, len(touching) // 2, -2]]
-            return float(hull.area) - span, corners[chosen]
+            return length, touching[[1, len(touching) // 2, -2]]
     # The corner next to the line, and its neighbours.
     off = section - np.column_stack([np.clip(section[:, 0], 0.0, span), np.zeros(N_CORNERS)])
     top = int(np.argmin((off**2).sum(axis=1)))
     near = [(top + x) % N_CORNERS for x in (-8, 0, 8)]
     return span, section[near]
-
-
-def _circle(corners: Array) -> tuple[Array, float]:
-    """Centre (2,) and radius of the circle through three corners."""
-    a, b, c = corners
-    sides = 2.0 * np.array([b - a, c - a])
-    right = np.array([b @ b - a @ a, c @ c - a @ a])
-    middle = np.linalg.solve(sides, right)
-    return middle, float(np.linalg.norm(a - middle))
