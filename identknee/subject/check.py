@@ -1,6 +1,6 @@
 """Checks of a knee's geometry, each finding one sentence with its remedy."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
@@ -264,16 +264,16 @@ _COUNTED = {
 
 
 def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
+    femur = knee.femur
+    distance = knee.femur_distance or mesh_distance(femur.vertices, femur.faces)
     for name, surface in _surfaces(knee)[1:]:
-        gap = gap_between(knee.femur, surface)
+        depth = overlap_of(surface, distance)
+        # What lies far behind an open sheet counts as deep within it.
+        gap = 0.0 if 0.0 < depth <= DEEPEST_OVERLAP else gap_between(femur, surface)
         if gap > WIDEST_GAP:
             sentence = f"In the scanned pose it is {gap:.1f} mm away from the femur."
             yield geometry_finding("surfaces-apart", name, sentence, {"gap_mm": gap})
             continue
-        if knee.femur_distance is None:
-            depth = overlap_of(surface, knee.femur)
-        else:
-            depth = max(float(-knee.femur_distance(surface.vertices).min()), 0.0)
         if depth > DEEPEST_OVERLAP:
             sentence = f"In the scanned pose it reaches {depth:.1f} mm into the femur."
             yield geometry_finding("surfaces-overlap", name, sentence, {"depth_mm": depth})
@@ -436,7 +436,14 @@ def gap_between(one: Surface, other: Surface) -> float:
     return max(float(fcl.distance(*bodies, fcl.DistanceRequest(), fcl.DistanceResult())), 0.0)
 
 
-def overlap_of(surface: Surface, other: Surface) -> float:
-    """How deep the vertices of `surface` lie within `other` at most [mm], 0 if none does."""
-    distance = mesh_distance(other.vertices, other.faces)(surface.vertices)
-    return max(float(-distance.min()), 0.0)
+def overlap_of(surface: Surface, distance: Callable[[Array], Array]) -> float:
+    """How deep the vertices of a surface lie within another at most [mm], 0 if none does.
+
+    Parameters
+    ----------
+    surface
+        The surface.
+    distance
+        Gives the signed distance [mm] of points from the other, shape ``(n, 3)``, negative within.
+    """
+    return max(float(-distance(surface.vertices).min()), 0.0)

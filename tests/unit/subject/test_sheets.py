@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from identknee.mechanics.closest_point import mesh_distance
 from identknee.subject import check as sheets
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface, joined
@@ -61,10 +62,11 @@ def test_part_of_a_fine_surface_faces_as_all_of_it(
 
 def test_overlap_equals_the_closed_form(reference: Knee) -> None:
     assert reference.femur_distance is not None
+    femur = mesh_distance(reference.femur.vertices, reference.femur.faces)
     for plateau in reference.tibia:
         exact = -reference.femur_distance(plateau.vertices).min()
         # The femur's faces lie up to 0.008 mm inside its surface.
-        assert sheets.overlap_of(plateau, reference.femur) == pytest.approx(exact, abs=0.01)
+        assert sheets.overlap_of(plateau, femur) == pytest.approx(exact, abs=0.01)
     away = reference.tibia[0].moved(np.eye(3), [0.0, -30.0, 0.0])
-    assert sheets.overlap_of(away, reference.femur) == 0.0
+    assert sheets.overlap_of(away, femur) == 0.0
     assert sheets.gap_between(away, reference.femur) > 20.0
