@@ -131,9 +131,11 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
                 continue
             _draw(axes, curves, cells[axis, setting], coordinate)
             axes.set_xlabel(load_label(axis), fontsize=SMALL + 1)
-            if row == 0:
+            if not any(x.get_visible() for x in grid[:row, column]):
                 axes.set_title(_title(curves.protocol, setting), fontsize=10)
-        grid[row, 0].set_ylabel(label(COORDINATES[coordinate]), fontsize=SMALL + 1)
+        first = next(x for x in grid[row] if x.get_visible())
+        first.set_ylabel(label(COORDINATES[coordinate]), fontsize=SMALL + 1)
+        first.tick_params(labelleft=True)
     shown = next(x for x in grid.flat if x.get_visible())
     legend_below(figure, *shown.get_legend_handles_labels(), columns=9)
     return figure

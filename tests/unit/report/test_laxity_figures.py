@@ -8,7 +8,7 @@ from figure_checks import drawn as drawn_by
 from matplotlib.colors import to_rgba
 from report_folders import few_trials
 
-from identknee.laxity.protocol import LOADS, Protocol, concatenate
+from identknee.laxity.protocol import LOADS, Protocol, concatenate, load_protocol
 from identknee.laxity.table import COORDINATES, example_laxity
 from identknee.report.figures import COLOURS, FIT, vector
 from identknee.report.laxity_figures import (
@@ -38,6 +38,34 @@ def curves(*, band: bool = False) -> LaxityCurves:
         sd=np.full_like(values, 0.5),
         band=("all", np.array([values - 2.0, values + 2.0])) if band else None,
     )
+
+
+def test_every_row_and_column_has_its_words_where_a_corner_is_empty() -> None:
+    """Table 2 without drawer and internal moments at one angle: the first row begins further on."""
+    protocol = load_protocol("table2")
+    first = protocol.flexion_deg == np.unique(protocol.flexion_deg)[1]
+    is_varus = protocol.loads[:, LOADS.index("varus_moment_Nm")] != 0.0
+    is_loaded = (protocol.loads != 0.0).any(axis=1)
+    protocol = protocol.select(np.flatnonzero(~first | is_varus | ~is_loaded))
+    values = np.arange(protocol.n * 5.0).reshape(-1, 5)
+    given = LaxityCurves(
+        protocol=protocol, simulated={"fit": values}, measured=values, sd=np.ones_like(values)
+    )
+    figure = along_load_figure(given)
+    assert figure is not None
+    hidden = [x for x in figure.axes if not x.get_visible()]
+    assert hidden
+    columns: dict[float, list[str]] = {}
+    rows: dict[float, list[str]] = {}
+    figure.canvas.draw()
+    for axes in figure.axes:
+        if axes.get_visible():
+            place = axes.get_subplotspec()
+            assert place is not None
+            columns.setdefault(place.colspan.start, []).append(axes.get_title())
+            rows.setdefault(place.rowspan.start, []).append(axes.get_ylabel())
+    for words in (*columns.values(), *rows.values()):
+        assert sum(bool(x) for x in words) == 1
 
 
 def test_the_coordinate_along_the_load_is_drawn() -> None:
