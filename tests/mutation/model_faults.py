@@ -6,6 +6,7 @@ _SIZES = "tests/unit/model/effects/test_sizes.py"
 _LOADS = "tests/unit/model/effects/test_load_effects.py"
 _READINGS = "tests/unit/model/effects/test_reading_effects.py"
 _LAWS = "tests/unit/mechanics/test_lines_and_laws.py"
+_OBSTACLES = "tests/unit/mechanics/test_obstacles.py"
 _ENERGY = "tests/unit/mechanics/test_energy.py"
 _GROOD = "tests/unit/mechanics/test_grood_suntay.py"
 _NOISE = "tests/unit/laxity/test_noise.py"
@@ -306,6 +307,30 @@ MECHANICS = (
         "shape[4] += a",
         "the stiffness of a wrapped ligament is wrong",
         f"{_LAWS}::test_a_line_bent_aside_has_the_slopes_of_its_length",
+    ),
+    fault(
+        "identknee/mechanics/elements.py",
+        "seen_from_tibia",
+        "b01 - u2",
+        "b01 + u2",
+        "the stiffness of a line around an obstacle of the tibia is wrong",
+        f"{_OBSTACLES}::test_energy_of_a_pose_has_the_derivatives_of_its_differences",
+    ),
+    fault(
+        "identknee/mechanics/obstacles.py",
+        "way_around",
+        "s_aa + h * x_aa + 2.0 * h_c * x_a + x * h_cc",
+        "s_aa + h * x_aa + h_c * x_a + x * h_cc",
+        "the stiffness of a line that begins to touch an obstacle is wrong",
+        f"{_OBSTACLES}::test_touch_is_smooth_and_hardly_changes_the_length",
+    ),
+    fault(
+        "identknee/mechanics/obstacles.py",
+        "wrapped_shape",
+        "length = math.sqrt(way * way + rise * rise)",
+        "length = way",
+        "a line around a cylinder is as long as it looks along the axis",
+        f"{_OBSTACLES}::test_a_way_of_known_length",
     ),
     fault(
         "identknee/mechanics/elements.py",
