@@ -21,7 +21,6 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import peers
 from opensim_knee import beginning, least_stiffness
 from peer_opensim import COORDINATES, METRES, OpenSimKnee, flexed_axes, solve
-from typing_extensions import override
 
 LARGEST_NM = 4
 # Both parts of a coordinate's number in the joint: what a moment arm in m, or of a shift, is in mm.
@@ -35,8 +34,8 @@ class WrappedKnee(OpenSimKnee):
         self.wraps = wraps
         super().__init__(subject, folder)
 
-    @override
-    def _add_ligaments(self, subject: peers.Subject) -> None:
+    # What runs this has no typing_extensions.
+    def _add_ligaments(self, subject: peers.Subject) -> None:  # type: ignore[explicit-override]
         super()._add_ligaments(subject)
         opensim = self.opensim
         for i, wrap in enumerate(self.wraps):
