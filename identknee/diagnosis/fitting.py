@@ -483,15 +483,28 @@ def without_idle_priors(base: BaseFit) -> BaseFit:
     another effect could take away, and every effect that gives it a load would gain evidence.
     """
     fitted = base.fitted
-    model = fitted.model
-    loads = ligament_loads(model, model.predict_once(fitted.theta))
-    idle = [
-        name
-        for name, load, is_refuted in zip(model.tied.names, loads, fitted.is_refuted, strict=True)
-        if load.is_idle and is_refuted
-    ]
-    if not idle:
+    refuted = set(np.array(fitted.model.tied.names)[fitted.is_refuted].tolist())
+    if idle := refuted & _idle(fitted):
+        return _without_priors(base, sorted(idle))
+    if not refuted or without_causes(base).misfit_p_value >= REJECTED:
         return base
+    # A prior can hold what is torn at a load that the data reject: without it, it may carry none.
+    found = _without_priors(base, sorted(refuted))
+    idle = refuted & _idle(found.fitted)
+    if idle < refuted:
+        found = _without_priors(base, sorted(idle)) if idle else base
+    return found if idle <= _idle(found.fitted) else base
+
+
+def _idle(fitted: FittedModel) -> set[str]:
+    """Names of the ligaments that carry nothing in a fit."""
+    model = fitted.model
+    return {x.name for x in ligament_loads(model, model.predict_once(fitted.theta)) if x.is_idle}
+
+
+def _without_priors(base: BaseFit, idle: Sequence[str]) -> BaseFit:
+    """The fit without the priors of some ligaments, begun also where they are absent."""
+    fitted, model = base.fitted, base.fitted.model
     p, gone, absent = model.parameters, np.array(fitted.theta), np.array(fitted.theta)
     for owner in idle:
         stiffness, strain = (p.index(f"{owner}.{x}") for x in (STIFFNESS, STRAIN))

@@ -590,7 +590,7 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/fitting.py",
-        "without_idle_priors",
+        "_without_priors",
         "gone[stiffness], gone[strain] = (NEARLY_GONE * p.center[stiffness], p.center[strain])",
         "continue",
         "the prior of a torn ligament still gives it a load",

@@ -11,6 +11,7 @@ import identknee as ik
 from identknee.checks.fit_checks import idle_parameters, ligament_findings, ligament_loads
 from identknee.diagnosis.fitting import (
     WIDER_IF_IDLE,
+    FittedModel,
     fit_base,
     without_causes,
     without_idle_priors,
@@ -55,9 +56,9 @@ def test_a_torn_ligament_is_no_misfit() -> None:
     assert fitted.outcome is Outcome.MINIMUM
 
 
-def without(ligament: str) -> Laxity:
+def without(ligament: str, protocol: str = "seed63") -> Laxity:
     """Laxity of the knee without one ligament, in the trials in which it is stable."""
-    model = LaxityModel(knee=reference_knee(), protocol=load_protocol("seed63"))
+    model = LaxityModel(knee=reference_knee(), protocol=load_protocol(protocol))
     theta = np.array(model.parameters.center)
     theta[model.parameters.index(f"{ligament}.{STIFFNESS}")] = 0.0
     return add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=1)
@@ -83,6 +84,23 @@ def test_the_prior_of_an_absent_ligament_moves_the_knee_by_no_noise(absent: str)
     assert fitted.theta[fitted.model.parameters.index(f"{absent}.{STIFFNESS}")] < 1e-4
     assert not fitted.is_refuted.any()
     assert without_causes(found).misfit_p_value > 0.05
+
+
+def test_a_prior_that_holds_a_torn_ligament_at_a_load_is_no_misfit() -> None:
+    """Four trials in which the knee is stable: their fit is a minimum, and it is rejected."""
+    begun = fit_base(reference_knee(), without("ACL", "drawer"), starts=[], seed=0)
+    assert begun is not None
+    assert (begun.fitted.outcome, begun.fitted.laxity.n_values) == (Outcome.MINIMUM, 20)
+    assert "ACL" not in _idle_in(begun.fitted)
+    assert without_causes(begun).misfit_p_value < 1e-3
+    found = without_idle_priors(begun)
+    assert _idle_in(found.fitted) == {"ACL"}
+    assert without_causes(found).misfit_p_value > 0.05
+
+
+def _idle_in(fitted: FittedModel) -> set[str]:
+    loads = ligament_loads(fitted.model, fitted.model.predict_once(fitted.theta))
+    return {x.name for x in loads if x.is_idle}
 
 
 def test_the_extended_subject_keeps_its_own_priors() -> None:
