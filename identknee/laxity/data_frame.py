@@ -49,20 +49,28 @@ def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
     Raises
     ------
     InputError
-        If columns have names of several levels.
+        If columns have names of several levels, or trials stand in an index without a name.
     """
     if getattr(frame.columns, "nlevels", 1) > 1:
         why = "its columns have names of several levels"
         raise InputError(NAME, "columns", why, "Give each column one name, such as varus_deg.")
+    named = any(x is not None for x in frame.index.names)
+    labels = list(frame.index)
+    are_words = bool(labels) and all(isinstance(x, str) for x in labels)
+    if are_words and not named and "trial" not in frame.columns:
+        remedy = 'If the index holds their names, call it so: frame.index.name = "trial".'
+        raise InputError(NAME, "columns", "there is no column trial", remedy)
     attrs: Mapping[Any, Any] = getattr(frame, "attrs", {})
     stated = [f"# {x}: {_words(attrs[x])}" for x in STATED if x in attrs]
-    labels = [f"row {x}" for x in frame.index]
     # Text is quoted, so that no name of a trial is taken for a comment.
-    named = any(x is not None for x in frame.index.names)
     text = (frame.reset_index() if named else frame).to_csv(
         index=False, quoting=csv.QUOTE_NONNUMERIC
     )
-    places = (*(f"attrs {x!r}" for x in STATED if x in attrs), "columns", *labels)
+    places = (
+        *(f"attrs {x!r}" for x in STATED if x in attrs),
+        "columns",
+        *(f"row {x}" for x in labels),
+    )
     return "\n".join([*stated, text]), places
 
 

@@ -1,6 +1,7 @@
 """Laxity tables: reading, writing, comparing, noise, and those of named subjects."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -287,6 +288,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         If the file breaks a rule; the message names the row (the line number in the file), the
         column and what to do.
     """
+    check_is_table(path)
     is_named = isinstance(path, str) and path in TABLES
     with CellFile.open(path if is_frame(path) else laxity_file(path)) as file:
         file.read_renamed_columns()
@@ -321,6 +323,21 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         findings=tuple(file.findings),
         **extra,
     )
+
+
+def check_is_table(given: object) -> None:
+    """Refuse what can hold no table.
+
+    Raises
+    ------
+    ValueRefused
+        With what can.
+    """
+    if not (isinstance(given, str | os.PathLike) or is_frame(given)):
+        raise ValueRefused(
+            f"the {type(given).__name__} is no laxity table",
+            "give a path, a Laxity, a pandas DataFrame or the name of a subject with a table",
+        )
 
 
 def _check_needed(

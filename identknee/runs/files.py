@@ -109,6 +109,10 @@ def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
         If it is missing, a folder, empty, too large or may not be read.
     """
     file = Path(path)
+    first, *more = os.fspath(file).splitlines() or [""]
+    if more:
+        why = f"this is a text of {1 + len(more)} lines, not the path of a file"
+        raise InputError(f"{first[:40]}...", "", why, "Save it to a file and give its path.")
     try:
         is_folder, size = file.is_dir(), file.stat().st_size
         if not is_folder:

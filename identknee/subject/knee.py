@@ -216,7 +216,8 @@ def with_stated_uncertainty(own: Uncertainty, stated: UncertainLike) -> Uncertai
         known = [x.name for x in fields(Uncertainty)]
         for name in stated:
             if name not in known:
-                raise ValueError(f"uncertain {name}: there is no such part. {_known(name)}")
+                meant = suggestion(name, known)
+                raise ValueError(f"uncertain {name}: there is no such part. {meant}")
         return replace(own, **stated)
     texts = [stated] if isinstance(stated, str) else list(stated)
     parts = [x.strip() for text in texts for x in text.split(",") if x.strip()]

@@ -123,8 +123,21 @@ def by_ligament(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
 def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
     """Lower and upper bound by parameter name, however they were given."""
     if isinstance(bounds, Mapping):
-        return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}
+        return {name: _pair(name, given) for name, given in bounds.items()}
     return named_bounds(bounds or [], "--bounds")
+
+
+def _pair(name: str, given: object) -> tuple[float, float]:
+    """Lower and upper bound of a parameter."""
+    ends = given.split(":") if isinstance(given, str) else given
+    try:
+        low, high = (float(x) for x in cast("Sequence[float]", ends))
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"bounds of {name}: {given!r} is no pair of numbers. Write for example "
+            f"bounds={{'{name}': (5, 15)}}"
+        ) from None
+    return low, high
 
 
 def check_word(option: str, word: str, words: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar, get_args, overload
 from typing import Protocol as TypedProtocol
@@ -21,10 +22,10 @@ from identknee.laxity.data_frame import Frame, is_frame
 from identknee.laxity.experiment_tables import is_experiments, read_experiments
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import BUILT_IN, Protocol
-from identknee.laxity.table import TABLE_FILES, Laxity, read_laxity
+from identknee.laxity.table import TABLE_FILES, Laxity, check_is_table, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.errors import ValueRefused
+from identknee.runs.errors import ValueRefused, closest
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import Finding, without_repeats
@@ -38,7 +39,7 @@ from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.subject.plausibility import Limit
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import explained, parameters_in_full
+from identknee.verbs.options import IN_FULL, explained, option_of, parameters_in_full
 from identknee.verbs.question import question
 from identknee.verbs.values import noise_of, noise_words
 
@@ -46,6 +47,7 @@ SUBJECT, DATA, PROTOCOL = "subject", "data", "protocol"
 SUBJECT_FILES = (".toml", ".osim")
 # The types that sizes of noise may have, and no other option has together.
 NOISE = frozenset({str, float, tuple[float, float]})
+WHOLE = frozenset({int, type(None)})
 # Those of a start.
 START = frozenset(get_args(StartLike))
 ORDER = "give the subject first and the laxity table second"
@@ -85,7 +87,43 @@ def _as_taken(name: str, annotation: Any, given: Any) -> Any:
         return read_laxity(given, is_measured=name == DATA)
     if Sequence[str] in kinds and str not in kinds:
         return _names(given)
+    if int in kinds and kinds <= WHOLE and not (given is None and type(None) in kinds):
+        return _whole(name, option_of(annotation).least, given)
     return noise_words(given) if kinds >= NOISE else given
+
+
+def _whole(name: str, least: float | None, given: Any) -> int:
+    """A whole number, however it was given."""
+    is_truth = isinstance(given, bool)
+    is_number = isinstance(given, Real) and not is_truth and float(given).is_integer()
+    if not is_number or (least is not None and given < least):
+        at_least = "" if least is None else f" of at least {least:g}"
+        raise ValueRefused(f"{name} is {given!r}", f"give a whole number{at_least}")
+    return int(given)
+
+
+def _bound(function: Callable[..., Any], called: Any, args: Any, kwargs: Any) -> Any:
+    """The arguments by their names; a mistake is said with what the verb takes."""
+    known = called.__signature__.parameters
+    try:
+        return called.__signature__.bind(*args, **kwargs)
+    except TypeError as error:
+        name, said = function.__name__, str(error)
+        flags = {
+            (option_of(x.annotation).flag or f"--{k}")[2:].replace("-", "_"): k
+            for k, x in getattr(called, IN_FULL).items()
+        }
+        placed = [k for k, x in known.items() if x.kind is not x.KEYWORD_ONLY]
+        for other in kwargs:
+            if other not in known:
+                close = closest(other, flags)
+                remedy = (
+                    f"Did you mean {flags[close]}?" if close else f"Known are {', '.join(known)}."
+                )
+                raise TypeError(f"{name} has no argument {other}. {remedy}") from None
+        if len(args) > len(placed):
+            said = f"takes {' and '.join(placed) or 'nothing'} by place alone; name all others"
+        raise TypeError(f"{name}: {said}") from None
 
 
 def _numbered(tables: Sequence[Any]) -> list[Any]:
@@ -163,11 +201,8 @@ def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
         )
     if data is not None and _is_subject(data):
         raise ValueRefused(f"{_shown(data)} is a subject where the laxity table belongs", ORDER)
-    if data is not None and not (_is_table(data) or isinstance(data, str | os.PathLike)):
-        raise ValueRefused(
-            f"{_shown(data)} is no laxity table",
-            "give a path, a Laxity, a pandas DataFrame or the name of a subject with a table",
-        )
+    if data is not None and not isinstance(data, Laxity):
+        check_is_table(data)
 
 
 def _is_table(given: Any) -> bool:
@@ -380,7 +415,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
-        bound = called.__signature__.bind(*args, **kwargs)  # type: ignore[attr-defined]
+        bound = _bound(function, called, args, kwargs)
         bound.apply_defaults()
         bound.arguments.update(read_arguments(public, bound.arguments))
         with one_library_thread(), _run(function, bound.arguments) as (run, read, recording):

@@ -276,3 +276,66 @@ def test_every_coordinate_of_a_frame_is_read(frame: pd.DataFrame, measured: ik.L
     for k, name in enumerate(COORDINATES):
         alone = ik.read_laxity(frame[["trial", "flexion_deg", name]]).coordinates
         np.testing.assert_array_equal(alone[:, k], measured.coordinates[:, k])
+
+
+@pytest.mark.parametrize("kind", ["dict", "records", "series", "rows", "array", "bytes", "none"])
+def test_what_is_like_a_table_is_refused_by_reading_too(kind: str, frame: pd.DataFrame) -> None:
+    made: dict[str, Any] = {
+        "dict": frame.to_dict("list"),
+        "records": frame.to_dict("records"),
+        "series": frame[COORDINATES[0]],
+        "rows": frame.to_records(index=False),
+        "array": frame.drop(columns="trial").to_numpy(),
+        "bytes": b"trial,flexion_deg",
+        "none": None,
+    }
+    with pytest.raises(ValueError, match=r"is no laxity table; give a path, .* DataFrame"):
+        ik.read_laxity(made[kind])
+
+
+def test_the_text_of_a_table_is_no_path(path: Path) -> None:
+    with pytest.raises(InputError, match=r"^trial.{0,45}: this is a text of 5 lines, not the path"):
+        ik.read_laxity(path.read_text())
+
+
+def test_an_index_of_names_without_a_name_is_named(frame: pd.DataFrame) -> None:
+    own = frame.set_index("trial")
+    assert ik.read_laxity(own).n == len(own)
+    own.index.name = None
+    with pytest.raises(InputError, match=r"no column trial. .*frame\.index\.name = \"trial\""):
+        ik.read_laxity(own)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [
+        ({"fix": NAME}, r"fit has no argument fix\. Did you mean fixed\?"),
+        ({"hold_outs": "x"}, r"no argument hold_outs\. Did you mean hold_out\?"),
+        ({"bounds": {NAME: 5}}, r"bounds of ACL.stiffness_kN: 5 is no pair of numbers"),
+        ({"bounds": {NAME: (5, None)}}, r"\(5, None\) is no pair of numbers"),
+        ({"bounds": {NAME: (1, 2, 3)}}, r"\(1, 2, 3\) is no pair of numbers"),
+        ({"more_starts": "3"}, r"more_starts is '3'; give a whole number of at least 0"),
+        ({"more_starts": -3}, "more_starts is -3; give"),
+        ({"more_starts": 2.5}, r"more_starts is 2\.5; give"),
+        ({"seed": None}, "seed is None; give a whole number"),
+        ({"budget": True}, "budget is True; give a whole number"),
+        ({"uncertain": {"insertions": 2.0}}, r"no such part\. Did you mean insertions_mm\?"),
+    ],
+)
+def test_mistakes_of_a_call_are_named(
+    mistake: dict[str, Any], said: str, frame: pd.DataFrame
+) -> None:
+    with pytest.raises((ValueError, TypeError), match=said):
+        ik.fit("reference", frame, **mistake)
+
+
+def test_names_by_place_are_said_to_want_a_name(frame: pd.DataFrame) -> None:
+    call: Any = ik.profile
+    with pytest.raises(TypeError, match="takes subject and data by place alone"):
+        call("reference", frame, NAME)
+
+
+def test_whole_numbers_however_given(frame: pd.DataFrame) -> None:
+    asked = {"subject": "reference", "data": frame, "more_starts": np.int64(3), "seed": 2.0}
+    read = read_arguments(parameters_in_full(ik.fit), asked)
+    assert [(type(read[x]), read[x]) for x in ("more_starts", "seed")] == [(int, 3), (int, 2)]
