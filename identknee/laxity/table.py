@@ -37,6 +37,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
+from identknee.laxity.spreadsheets import A_DATE, is_day
 from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
@@ -273,7 +274,9 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
     ``cut: ACL, dMCL`` or, for half of it, ``cut: ACL 50%``; and forces that were measured, such as
     ``ACL_tension_N`` or ``contact_medial_N``, each with its ``sd_``. Blanks were not measured.
     Cells are separated by commas; where the header has semicolons or tabs instead, by those, and
-    then numbers may have decimal commas. Comment lines start with ``#``; some state something:
+    then numbers may have decimal commas. A first column without a name that counts rows, a row of
+    units that are those of the columns, and UTF-16 are fine. Comment lines start with ``#``; some
+    state something:
     ``# within_trial_correlation: 0.3``, ``# zero:`` with ``unloaded``, ``opposite`` or the name
     of a trial, and ``# translations:`` with ``components`` (of Grood and Suntay), ``projections``
     (on the same axes), ``femur`` or ``tibia`` (axes of a bone). The protocol is called after the
@@ -664,8 +667,10 @@ def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
     """Why no knee has this coordinate, and the remedy; None if one may."""
     if column.endswith("_deg"):
         remedy = "Give angles in degrees, 0 where the axes of both bones agree."
+        remedy = A_DATE if is_day(value) else remedy
         return beyond("an angle", value, ANGLE_LIMIT_DEG, "deg", remedy)
     remedy = "Give lengths in mm, from the femoral to the tibial origin."
+    remedy = A_DATE if is_day(value) else remedy
     return beyond("a translation", value, LENGTH_LIMIT_MM, "mm", remedy)
 
 

@@ -30,6 +30,16 @@ from identknee.laxity.protocol import (
     Protocol,
     zero_fault,
 )
+from identknee.laxity.spreadsheets import (
+    COUNT,
+    NAMELESS,
+    THOUSAND,
+    header_below,
+    is_unit_row,
+    number_remedy,
+    opened_text,
+    wrong_unit,
+)
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, closest, suggestion
@@ -42,6 +52,7 @@ COLUMN = re.compile(
 )
 SEPARATOR = re.compile(r'"?sep\s*=\s*([^\w\s"]|[ \t])"?[,;\t]*', re.IGNORECASE)
 BETWEEN_CELLS = ",;\t|"
+ROW = "trial"
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -85,12 +96,12 @@ class CellFile:
         self.unsaid: tuple[str, ...] = ()
         self.findings: list[Finding] = []
         self._lines = self._data_lines(file)
+        self._decimals: dict[str, bool] = {}
         self.header_line, names = self._header()
-        self.columns = {name: position for position, name in enumerate(names)}
-        self._n_columns = len(names)
-        for name in names:
-            if names.count(name) > 1:
-                self.refuse(self.header_line, name, "two columns have this name", "Remove one.")
+        self._is_counted = NAMELESS.fullmatch(names[0]) is not None
+        self._names = names
+        first = 1 if self._is_counted else 0
+        self.columns = {x: i for i, x in enumerate(names) if x and i >= first}
 
     @classmethod
     @contextmanager
@@ -110,7 +121,7 @@ class CellFile:
             yield cls(Path(NAME), io.StringIO(text), places)
             return
         checked = check_readable(path)
-        with checked.open(encoding="utf-8-sig", newline="") as file:
+        with opened_text(checked) as file:
             is_storage = checked.suffix.lower() in SUFFIXES
             yield cls(checked, io.StringIO(as_csv(file)) if is_storage else file)
 
@@ -125,15 +136,37 @@ class CellFile:
         known = tuple(known)
         if self._is_storage:
             self.columns = {x: place for x, place in self.columns.items() if x in known}
-        for name in self.columns:
-            if name not in known:
-                remedy = _column_remedy(name, known)
-                self.refuse(self.header_line, name, "this column is unknown", remedy)
+        unknown = [x for x in self.columns if x not in known]
+        if unknown:
+            self._check_header(known)
+        named = self._names[1 if self._is_counted else 0 :]
+        if "" in named:
+            self.refuse(self.header_line, "", "a column has no name", "Name it or remove it.")
+        if twice := next((x for x in named if named.count(x) > 1), ""):
+            self.refuse(self.header_line, twice, "two columns have this name", "Remove one.")
+        for name in unknown:
+            remedy = _column_remedy(name, known)
+            self.refuse(self.header_line, name, "this column is unknown", remedy)
         for name in required:
             if name not in self.columns:
-                self.refuse(
-                    self.header_line, name, "this column is missing", "Add it; every row needs it."
-                )
+                remedy = "Add it; every row needs it."
+                if self._is_storage:
+                    remedy = f"Say which it is above endheader: # column: {name} = 1 * ITS_NAME."
+                elif self._is_counted and name == ROW:
+                    remedy = f"If the first column has the names of trials, call it {ROW}."
+                self.refuse(self.header_line, name, "this column is missing", remedy)
+
+    def _check_header(self, known: Sequence[str]) -> None:
+        """Refuse a first row that has no names of columns, where a later one has or none can."""
+        words = {x for name in self.columns for x in name.split()}
+        if len(self.columns) == 1 and len(words & set(known)) > 1:
+            why = "cells are separated by spaces, which are not read"
+            self.refuse(self.header_line, "", why, "Save the table with commas or tabs.")
+        if not any(x in known for x in self.columns):
+            line = header_below(self._lines, known, self.delimiter)
+            if line is not None:
+                why = f"the column names stand in {self.place(line)}"
+                self.refuse(self.header_line, "", why, "Begin every line above it with #.")
 
     def read_opposite_columns(self, opposites: Mapping[str, str]) -> None:
         """Read columns whose values count the other way round, such as a valgus moment or valgus.
@@ -223,19 +256,55 @@ class CellFile:
 
     def rows(self) -> Iterator["TableRow"]:
         """The rows below the header, in their order."""
+        is_first = True
         for line, text in self._lines:
             cells = self._split(line, text)
             if any(cells):
-                n_columns = self._n_columns
+                n_columns = len(self._names)
                 if len(cells) < n_columns or any(cells[n_columns:]):
                     self.refuse(
                         line,
                         "",
                         f"there are {len(cells)} cells under {n_columns} columns",
-                        "Give each column one cell, blank where there is nothing to say, and "
-                        "put cells that hold a comma in quotes.",
+                        self._cell_remedy,
                     )
-                yield TableRow(self, line, cells)
+                if self._is_counted and not COUNT.fullmatch(cells[0]):
+                    remedy = "Name it or remove it."
+                    self.refuse(self.header_line, "", "a column has no name", remedy)
+                if not (is_first and is_unit_row(cells)):
+                    yield TableRow(self, line, cells)
+                elif found := wrong_unit(self._under_own_names, cells):
+                    name, unit = found
+                    why = f"the row of units says {unit}"
+                    self.refuse(
+                        line, name, why, "Convert the column, or say it in a line # column."
+                    )
+                is_first = False
+
+    @property
+    def _cell_remedy(self) -> str:
+        remedy = "Give each column one cell, blank where there is nothing to say"
+        if self.delimiter != ",":
+            return f"{remedy}."
+        remedy += ", and put cells that hold a comma in quotes."
+        return f"{remedy} Where numbers have decimal commas, put semicolons between cells."
+
+    @property
+    def _under_own_names(self) -> dict[str, int]:
+        """Position of the columns that no line calls otherwise."""
+        return {x: place for x, place in self.columns.items() if x not in self.sources}
+
+    def is_other_decimal(self, text: str) -> bool:
+        """Whether a number has another decimal sign than one before, and one may be no such sign.
+
+        In a table with decimal commas 1.000 may be a thousand.
+        """
+        own = next((x for x in ",." if x in text), "")
+        if not own:
+            return False
+        may_be_thousand = THOUSAND.fullmatch(text) is not None
+        self._decimals[own] = self._decimals.get(own, False) or may_be_thousand
+        return len(self._decimals) > 1 and any(self._decimals.values())
 
     def refuse(self, line: int, column: str, why: str, remedy: str) -> NoReturn:
         """Raise the error about a place in this file."""
@@ -265,8 +334,6 @@ class CellFile:
             while names and not names[-1]:
                 names.pop()
             if names:
-                if "" in names:
-                    self.refuse(line, "", "a column has no name", "Name it or remove it.")
                 return line, names
         raise InputError(self.path, "", "there is no header", "Start with a row of column names.")
 
@@ -330,6 +397,9 @@ class TableRow:
         # Only where no comma separates cells can one be nothing but a decimal sign.
         plain = text.replace(",", ".", 1) if self.file.delimiter != "," else text
         if NUMBER.fullmatch(plain):
+            if self.file.is_other_decimal(text):
+                why = f"{text} has another decimal sign than numbers before"
+                self.refuse(column, why, "Write all alike, and none with a sign for thousands.")
             value = float(plain)
             if abs(value) != float("inf"):
                 _, factor, offset = self.file.sources.get(column, ("", 1.0, 0.0))
@@ -341,14 +411,9 @@ class TableRow:
                     else (0.0 + factor * value + offset + turn)
                 )
             self.refuse(column, f"{text} is too large to be a number here", "Check its exponent.")
-        if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
-            remedy = "Write it with a decimal point."
-        elif re.fullmatch(r"[\u2212\u2012\u2013\u2014][0-9.]+", text):
-            remedy = "Write the minus sign as a plain hyphen."
-        elif blank_where:
+        remedy = number_remedy(text) or "Write a number, such as 2.5."
+        if blank_where and not number_remedy(text):
             remedy = f"Write a number, or leave the cell blank where {blank_where}."
-        else:
-            remedy = "Write a number, such as 2.5."
         return self.refuse(column, f"{text!r} is not a number", remedy)
 
     def required(self, column: str) -> float:

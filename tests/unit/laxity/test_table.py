@@ -143,7 +143,10 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
         ),
         (
             "a,30,5 Nm,1,1",
-            ", row 2, column varus_moment_Nm: '5 Nm' is not a number. Write a number, such as 2.5.",
+            (
+                ", row 2, column varus_moment_Nm: '5 Nm' is not a number. Write the number alone: "
+                "the unit is in the column's name."
+            ),
         ),
         (
             "a,,5,1,1",
@@ -182,14 +185,16 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
             "a,30,5,1",
             (
                 ", row 2: there are 4 cells under 5 columns. Give each column one cell, blank "
-                "where there is nothing to say, and put cells that hold a comma in quotes."
+                "where there is nothing to say, and put cells that hold a comma in quotes. Where "
+                "numbers have decimal commas, put semicolons between cells."
             ),
         ),
         (
             "a,30,5,1,1,7",
             (
                 ", row 2: there are 6 cells under 5 columns. Give each column one cell, blank "
-                "where there is nothing to say, and put cells that hold a comma in quotes."
+                "where there is nothing to say, and put cells that hold a comma in quotes. Where "
+                "numbers have decimal commas, put semicolons between cells."
             ),
         ),
         ('"a,30,5,1,1', ', row 2: a quote is left open. Close it, or write "" for a quote mark.'),
@@ -268,8 +273,8 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
         (
             "trial;flexion_deg;varus_deg\na;30;1.234,5",
             (
-                ", row 2, column varus_deg: '1.234,5' is not a number. Write a number, or leave "
-                "the cell blank where nothing was measured."
+                ", row 2, column varus_deg: '1.234,5' is not a number. Write it without a sign for "
+                "thousands."
             ),
         ),
         (

@@ -1,0 +1,152 @@
+"""What spreadsheets and other programs leave in a table beside its numbers, and what to say of it.
+
+Encodings, rows of units, dates and signs for thousands.
+"""
+
+import io
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TextIO
+
+from identknee.runs.errors import InputError
+
+# How workbooks of Excel begin, new and old.
+WORKBOOK = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+LOOKED_AT = 512
+# A column that pandas or R counts rows in has no name, or this one.
+NAMELESS = re.compile(r"(Unnamed: \d+)?")
+COUNT = re.compile(r"[0-9]+")
+# Names of units, lower case and without brackets, by how names of columns end.
+UNITS = {
+    "deg": ("deg", "degs", "degree", "degrees", "°", "º"),
+    "mm": ("mm", "millimetre", "millimetres", "millimeter", "millimeters"),
+    "Nm": ("nm", "n·m", "n.m", "n*m", "n m", "n-m"),
+    "N": ("n", "newton", "newtons"),
+    "s": ("s", "sec", "second", "seconds"),
+}
+OTHER_UNITS = frozenset(
+    (
+        *("rad", "radian", "radians", "m", "cm", "in", "inch", "µm", "um", "kn", "nmm", "n·mm"),
+        *("n mm", "lbf", "ms", "min", "-", "1", ""),
+    )
+)
+# A number whose sign may be a decimal sign or one for thousands.
+THOUSAND = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
+_THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}([ ,.'’\u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
+_DATE = re.compile(
+    r"[0-9]{1,4}[-./ ]+([0-9]{1,2}|[^\W\d]{3,9}\.?)([-./ ]+[0-9]{2,4}.*)?"
+    r"|[^\W\d]{3}\.?[- ][0-9]{1,4}"
+)
+_WITH_UNIT = re.compile(r"[+-]?[0-9.]+\s*(mm|deg|°|º|N|Nm|N·m|degrees)")
+# Days since 1900, as a spreadsheet counts the dates of today.
+DAYS = (30_000, 60_000)
+A_DATE = "A spreadsheet may have made a date of it: enter it again, in a cell of numbers."
+
+
+def opened_text(path: Path) -> TextIO:
+    """The text of a table, open for reading, whatever its first bytes say of its encoding.
+
+    Raises
+    ------
+    InputError
+        If it is a workbook.
+    """
+    with path.open("rb") as file:
+        start = file.read(LOOKED_AT)
+    if start.startswith(WORKBOOK):
+        why = "this is a workbook, not a table of text"
+        raise InputError(path, "", why, "Save its sheet as CSV.")
+    encoding = WIDE.get(start[:2], "utf-8-sig")
+    if encoding != "utf-16":
+        return path.open(encoding=encoding, newline="")
+    try:
+        return io.StringIO(path.read_bytes().decode(encoding), newline="")
+    except UnicodeDecodeError as error:
+        why = "the text is not the UTF-16 that it begins as"
+        raise InputError(path, "", why, "Save the table as CSV in UTF-8.") from error
+
+
+def unit_of(word: str) -> str | None:
+    """The unit that a cell names, as names of columns end; itself if no column has it.
+
+    None where it names none.
+
+    Examples
+    --------
+    >>> unit_of("[N·m]"), unit_of("(Degrees)"), unit_of("rad"), unit_of("varus")
+    ('Nm', 'deg', 'rad', None)
+    """
+    plain = word.strip().strip("[]()").strip().lower()
+    for unit, names in UNITS.items():
+        if plain in names:
+            return unit
+    return plain if plain in OTHER_UNITS else None
+
+
+def is_unit_row(cells: Sequence[str]) -> bool:
+    """Whether the cells of a row name units and nothing else, the first aside.
+
+    Examples
+    --------
+    >>> is_unit_row(["", "deg", "N", "mm"]), is_unit_row(["a", "0", "-", "mm"])
+    (True, False)
+    """
+    units = [unit_of(x) for x in cells[1:]]
+    return None not in units and sum(x in UNITS or x in ("rad", "m", "cm") for x in units) > 1
+
+
+def wrong_unit(columns: Mapping[str, int], cells: Sequence[str]) -> tuple[str, str] | None:
+    """A column whose unit in a row of units is not that of its name, and the unit; else None."""
+    for name, place in columns.items():
+        unit, own = unit_of(cells[place]), name.rpartition("_")[2]
+        if own in UNITS and unit in {*UNITS, *OTHER_UNITS} - {"-", "1", "", own}:
+            return name, str(unit)
+    return None
+
+
+def number_remedy(text: str) -> str:
+    """What to do about a cell that is nearly a number; empty where it is not.
+
+    Examples
+    --------
+    >>> number_remedy("1 234.5")
+    'Write it without a sign for thousands.'
+    >>> number_remedy("1.5 deg")
+    "Write the number alone: the unit is in the column's name."
+    """
+    if re.fullmatch(r"[+-]?[0-9]+,[0-9]+", text):
+        return "Write it with a decimal point."
+    if re.fullmatch(r"[\u2212\u2012\u2013\u2014][0-9.]+", text):
+        return "Write the minus sign as a plain hyphen."
+    if _THOUSANDS.fullmatch(text):
+        return "Write it without a sign for thousands."
+    if _WITH_UNIT.fullmatch(text):
+        return "Write the number alone: the unit is in the column's name."
+    if _DATE.fullmatch(text):
+        return A_DATE
+    return ""
+
+
+def is_day(value: float) -> bool:
+    """Whether a value may be a day of our time, as a spreadsheet counts days.
+
+    Examples
+    --------
+    >>> is_day(45323.0), is_day(453.23)
+    (True, False)
+    """
+    return DAYS[0] <= value <= DAYS[1] and value == int(value)
+
+
+def header_below(
+    lines: Iterable[tuple[int, str]], known: Iterable[str], between: str
+) -> int | None:
+    """The line among the next few in which the column names stand; None where none has them."""
+    names = set(known)
+    for (line, text), _ in zip(lines, range(20), strict=False):
+        cells = {x.strip().strip('"') for x in re.split(rf"[{re.escape(between)};\t]", text)}
+        if len(cells & names) > 1:
+            return line
+    return None
