@@ -37,6 +37,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
+from identknee.laxity.radians import is_in_radians
 from identknee.laxity.spreadsheets import A_DATE, is_day
 from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
@@ -547,16 +548,17 @@ def _curves(file: CellFile) -> tuple[tuple[str, ...], Array, dict[str, Any]]:
 
 
 def _check_counting(file: CellFile, rows: Sequence[TableRow], values: Array) -> None:
-    """Refuse flexion that is 180 deg in a straight knee, or negative, and say what reads it."""
+    """Refuse flexion counted in another way, such as from 180 deg, and say what reads it."""
     own = file.sources.get(FLEXION, (FLEXION, 1.0, 0.0))[0]
     ways = (
         (is_from_straight, np.nanargmax, "counts from a straight knee at 180 deg", f"180 - {own}"),
         (is_negative, np.nanargmin, "grows towards negative angles", f"-1 * {own}"),
+        (is_in_radians, np.nanargmax, "is in radians", f"57.29578 * {own}"),
     )
     for is_so, place, how, line in ways:
         if is_so(values):
             row = rows[int(place(values))]
-            why = f"flexion {how}, here {row.number(FLEXION):g} deg"
+            why = f"flexion {how}, here {row.number(FLEXION):g}"
             row.refuse(FLEXION, why, f"Write as a line of the file: # column: {FLEXION} = {line}")
 
 
@@ -566,10 +568,9 @@ def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
         if column not in file.columns:
             continue
         values = np.array([_known(row, column) for row in rows])
-        if column in file.unsaid and values.size and np.nanmax(np.abs(values)) > MOST_TURNED_DEG:
-            why = (
-                "no line inDegrees says how angles are counted, and in radians these are too large"
-            )
+        told = file.in_radians.get(column)
+        if told and values.size and np.nanmax(np.abs(values)) > MOST_TURNED_DEG:
+            why = f"{told}, and in radians these are too large"
             file.refuse(1, column, why, "Write inDegrees=yes above endheader if they are degrees.")
         if column == FLEXION:
             _check_counting(file, rows, values)

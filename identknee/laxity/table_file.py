@@ -80,8 +80,8 @@ class CellFile:
         is read under.
     turns
         Whole turns that are added to a cell [deg], by line and column.
-    unsaid
-        Angles of a storage that nothing but OpenSim's own rule makes radians.
+    in_radians
+        What makes radians of the angles of a storage, as a clause, by column.
     findings
         What was done to the numbers of the file.
     """
@@ -93,7 +93,7 @@ class CellFile:
         self.delimiter = ","
         self.sources: dict[str, tuple[str, float, float]] = {}
         self.turns: dict[tuple[int, str], float] = {}
-        self.unsaid: tuple[str, ...] = ()
+        self.in_radians: dict[str, str] = {}
         self.findings: list[Finding] = []
         self._lines = self._data_lines(file)
         self._decimals: dict[str, bool] = {}
@@ -123,7 +123,7 @@ class CellFile:
         checked = check_readable(path)
         with opened_text(checked) as file:
             is_storage = checked.suffix.lower() in SUFFIXES
-            yield cls(checked, io.StringIO(as_csv(file)) if is_storage else file)
+            yield cls(checked, io.StringIO(as_csv(file, checked)) if is_storage else file)
 
     def check_columns(self, known: Iterable[str], required: Iterable[str]) -> None:
         """Accept the header if all its columns are known and none is missing.
@@ -239,8 +239,12 @@ class CellFile:
             if not IN_DEGREES[0] <= abs(factor) <= IN_DEGREES[1]:
                 self.sources[name] = source, factor * DEG, offset
                 turned.append(name)
+        why = NOT_SAID
+        if how is Counted.RADIANS:
+            said = (text for _, text in self.comments if text.startswith(COUNTED_BY))
+            why = f"the line {next(said, 'Angles are in radians.')} makes them radians for OpenSim"
+        self.in_radians = dict.fromkeys(turned, why)
         if turned and how is Counted.RADIANS_UNSAID:
-            self.unsaid = tuple(turned)
             self.findings.append(
                 finding("angles-in-radians", "data", {"columns": ", ".join(turned)})
             )
@@ -773,6 +777,7 @@ def _stated_numbers(
 
 
 SUFFIXES, MOTION, END = (".sto", ".mot"), ".mot", "endheader"
+COUNTED_BY, NOT_SAID = "inDegrees", "no line inDegrees says how angles are counted"
 DEG = 57.29577951308232
 # A factor that turns radians into degrees, to the digits that people write.
 IN_DEGREES = (57.2, 57.4)
@@ -791,13 +796,22 @@ class Counted(Enum):
     CONTRADICTED = "contradicted"
 
 
-def as_csv(file: TextIO) -> str:
-    """An OpenSim storage with its head as comments, line by line; cells that say nan are blank."""
+def as_csv(file: TextIO, path: Path) -> str:
+    """An OpenSim storage with its head as comments, line by line; cells that say nan are blank.
+
+    Raises
+    ------
+    InputError
+        If nothing ends its head.
+    """
     lines, is_head = [], True
     for line in file:
         words = ["" if x.lower() == "nan" else x for x in line.split()]
         lines.append(f"# {line.strip().lstrip('# ')}" if is_head else "\t".join(words))
         is_head = is_head and line.strip().lower() != END
+    if is_head:
+        why = f"no line {END} ends its head"
+        raise InputError(path, "", why, f"Write {END} on a line above the column names.")
     return "\n".join(lines)
 
 
@@ -817,7 +831,7 @@ def counted(head: Iterable[str], suffix: str) -> Counted:
     """
     lines = [x.strip() for x in head]
     stated = {found[1]: found[2].strip() for x in lines if (found := _STATED.fullmatch(x))}
-    word = stated.get("inDegrees")
+    word = stated.get(COUNTED_BY)
     is_old = re.match(r"[1-9]", stated.get("version", "0")) is None
     said = None if word is None else word.lower() in {"yes", "y"}
     if is_old and suffix.lower() == MOTION:

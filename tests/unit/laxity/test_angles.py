@@ -1,5 +1,6 @@
 """Angles that were cut off by a whole turn, counted from 180, in radians, or swept under a load."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -204,6 +205,47 @@ def test_a_factor_that_makes_degrees_is_not_applied_twice(tmp_path: Path) -> Non
 def test_degrees_that_no_line_states_are_not_taken_for_radians(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="inDegrees=yes"):
         read_laxity(storage(tmp_path / "ramp.sto", "version=1", deg=True))
+
+
+@pytest.mark.parametrize("line", ["inDegrees=no", "inDegrees=true", "Angles are in radians."])
+def test_degrees_that_a_line_makes_radians_are_refused_by_that_line(
+    line: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=f"the line {line} makes them radians for OpenSim"):
+        read_laxity(storage(tmp_path / "ramp.sto", line, deg=True))
+
+
+def test_a_head_that_does_not_end_is_named(tmp_path: Path) -> None:
+    path = storage(tmp_path / "ramp.sto", "version=1")
+    path.write_text(path.read_text().replace("endheader\n", ""))
+    with pytest.raises(InputError, match="no line endheader ends its head"):
+        read_laxity(path)
+
+
+def test_a_storage_without_a_line_for_flexion_is_told_one(tmp_path: Path) -> None:
+    path = storage(tmp_path / "ramp.sto", "version=1")
+    path.write_text(re.sub("# column: flexion.*\n", "", path.read_text()))
+    with pytest.raises(InputError, match=r"# column: flexion_deg = 1 \* ITS_NAME"):
+        read_laxity(path)
+
+
+def test_flexion_in_radians_is_named_with_the_line_that_reads_it(tmp_path: Path) -> None:
+    rows = "a,0.0,1\nb,0.5236,2\nc,1.0472,3\nd,1.5708,4\n"
+    path = tmp_path / "table.csv"
+    path.write_text(f"trial,flexion_deg,varus_deg\n{rows}")
+    with pytest.raises(InputError, match=r"flexion is in radians, here 1\.5708") as caught:
+        read_laxity(path)
+    line = caught.value.remedy.partition("file: ")[2]
+    path.write_text(f"{line}\ntrial,flexion_deg,varus_deg\n{rows}")
+    np.testing.assert_allclose(read_laxity(path).protocol.flexion_deg, [0, 30, 60, 90], atol=0.01)
+
+
+@pytest.mark.parametrize("flexion", [[0.0, 0.5, 1.0], [0.0, 0.5236, 0.0], [0.09, 0.5236, 30.0]])
+def test_small_flexion_is_no_radians(flexion: list[float], tmp_path: Path) -> None:
+    rows = "\n".join(f"{i},{x},1" for i, x in enumerate(flexion))
+    path = tmp_path / "table.csv"
+    path.write_text(f"trial,flexion_deg,varus_deg\n{rows}")
+    assert read_laxity(path).protocol.flexion_deg.tolist() == flexion
 
 
 def test_a_line_that_opensim_ignores_is_refused(tmp_path: Path) -> None:
