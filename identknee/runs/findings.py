@@ -475,11 +475,13 @@ _ALL = (
         meaning="No further trial can be advised that would tell the remaining causes apart.",
         remedy="Repeat the trials in which most misfit is left, or measure stated errors better.",
     ),
-    _geometry("in-metres", ERROR, "A length is so small that it can only be in metres.", MULTIPLY),
+    _geometry(
+        "in-metres", ERROR, "A length is so small or so large that it is not in mm.", MULTIPLY
+    ),
     _geometry(
         "surfaces-same",
         ERROR,
-        "Two of the three surfaces are the same.",
+        "Two of the three surfaces are the same, or one holds another.",
         "Give each surface its own file.",
     ),
     _geometry(

@@ -27,6 +27,11 @@ from identknee.subject.surface import Surface
 METRES = 1.0
 # A leg seen from hip to ankle, in metres, is shorter than this many mm; no two landmarks are.
 LEG_IN_METRES = 2.0
+# A femur smaller than this [mm] can only be in cm or inches; nothing in a knee is as long as the
+# second.
+LEAST_FEMUR, LONGEST = 25.0, 1000.0
+# Two surfaces that share this part of the smaller one's vertices are not two.
+SHARED = 0.5
 FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
 WIDEST_GAP = 3.0
@@ -123,13 +128,26 @@ def _surfaces(knee: Knee) -> tuple[tuple[str, Surface], ...]:
 
 
 def _same_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
-    for (one, first), (other, second) in combinations(_surfaces(knee), 2):
-        if len(first.faces) != len(second.faces) or len(first.vertices) != len(second.vertices):
-            continue
-        mine, others = (x.vertices[np.lexsort(x.vertices.T)] for x in (first, second))
-        if np.array_equal(mine, others):
+    """Surfaces that are, or hold, one another: vertices are compared as files store them."""
+    # Adding zero turns -0.0 into 0.0.
+    places = {x: y.vertices.astype(np.float32) + np.float32(0.0) for x, y in _surfaces(knee)}
+    for one, other in combinations(places, 2):
+        small, large = sorted((one, other), key=lambda x: len(places[x]))
+        share = _shared(places[small], places[large])
+        if share == 1.0 and len(places[small]) == len(places[large]):
             sentence = f"{one} and {other} are the same surface."
             yield geometry_finding("surfaces-same", other, sentence, {"same_as": one})
+        elif share > SHARED:
+            sentence = f"It holds the surface of {small} as well."
+            yield geometry_finding("surfaces-same", large, sentence, {"same_as": small})
+
+
+def _shared(some: Any, others: Any) -> float:
+    """Which part of some places are among others, shape ``(n, 3)`` each; 0 where it is little."""
+    if np.isin(some[:, 0], others[:, 0]).mean() <= SHARED:
+        return 0.0
+    known = set(map(tuple, others.tolist()))
+    return float(np.mean([tuple(x) in known for x in some.tolist()]))
 
 
 def _metres(knee: Knee) -> Iterator[GeometryFinding]:
@@ -145,6 +163,16 @@ def _metres(knee: Knee) -> Iterator[GeometryFinding]:
         if size < least:
             sentence = f"{words.format(f'{size:.3g}')}; lengths are in mm."
             yield geometry_finding("in-metres", where, sentence, {"size_mm": size})
+    femur = extent(knee.femur)
+    if METRES <= femur < LEAST_FEMUR:
+        sentence = f"The surface is only {femur:.3g} mm across; lengths are in mm."
+        remedy = "If these are cm, multiply by 10; if inches, by 25.4."
+        yield geometry_finding("in-metres", "femur", sentence, {"size_mm": femur}, remedy=remedy)
+    for where, size, _, _ in sizes[: 3 + len(knee.ligaments)]:
+        if size > LONGEST:
+            sentence = f"It is {size:.0f} mm long; lengths are in mm."
+            remedy = "If these are micrometres, divide by 1000; else remove what is far away."
+            yield geometry_finding("in-metres", where, sentence, {"size_mm": size}, remedy=remedy)
 
 
 def _of(ligament: Ligament) -> str:

@@ -55,9 +55,11 @@ def read_mesh(file: Path) -> RawMesh:
     """
     parse = PARSERS[file.suffix.lower()]
     try:
+        data = _without_mark(file.read_bytes())
+        _check_kind(file, data)
         # Some values that are no number cannot be cast without a warning; they are refused later.
         with np.errstate(invalid="ignore"):
-            return parse(file.read_bytes())
+            return parse(data)
     except MeshError as error:
         raise InputError(file, error.where, error.why, error.remedy) from error
     except (
@@ -79,6 +81,51 @@ class MeshError(Exception):
     def __init__(self, why: str, where: str = "", remedy: str = EXPORT_AGAIN) -> None:
         super().__init__(why)
         self.why, self.where, self.remedy = why, where, remedy
+
+
+# How text begins that says of itself that it is UTF-8.
+MARK = b"\xef\xbb\xbf"
+BEGINNINGS = (b"solid", b"ply", b"#", b"v ", b"o ", b"g ", b"mtllib", b"<")
+_OBJ_LINE = re.compile(rb"(v|o|g|mtllib|usemtl)[ \t]+[^\s\x00]")
+
+
+def _without_mark(data: bytes) -> bytes:
+    """The file without the mark that an editor put before its text."""
+    rest = data.removeprefix(MARK)
+    return rest if rest.lstrip().lower().startswith(BEGINNINGS) else data
+
+
+def _check_kind(file: Path, data: bytes) -> None:
+    """Refuse a file of another kind than its name says."""
+    held = kind_of(data)
+    if held and held != file.suffix.lower():
+        said = f"it holds {'an' if held[1] in 'os' else 'a'} {held[1:].upper()} file"
+        remedy = f"Call it {file.stem}{held}." if held in PARSERS else EXPORT_AGAIN
+        raise MeshError(f"{said}, whatever its name says", remedy=remedy)
+
+
+def kind_of(data: bytes) -> str:
+    r"""The ending that a file ought to have by its beginning; empty where nothing tells.
+
+    Examples
+    --------
+    >>> kind_of(b"OFF\n8 6 0\n"), kind_of(b"# made by hand\nv 0 0 0\n"), kind_of(b"8 6")
+    ('.off', '.obj', '')
+    """
+    start = data[:2048]
+    if start.startswith(b"ply") and b"format" in start:
+        return ".ply"
+    if b"<VTKFile" in start:
+        return ".vtp"
+    if start.startswith(b"# vtk DataFile"):
+        return ".vtk"
+    if re.match(rb"(ST)?C?N?OFF\s", start):
+        return ".off"
+    if start.lstrip()[:5].lower() == b"solid" and b"facet" in start.lower():
+        return ".stl"
+    lines = [x.strip() for x in start.splitlines()]
+    first = next((x for x in lines if x and not x.startswith(b"#")), b"")
+    return ".obj" if _OBJ_LINE.match(first) else ""
 
 
 def _numbered(n: int, noun: str) -> str:
@@ -107,7 +154,9 @@ def _stl(data: bytes) -> RawMesh:
     rows = np.frombuffer(data, STL_ROW, whole, STL_HEADER)
     if counted > whole or (counted < whole and not rest and _are_triangles(rows, counted)):
         n = whole
-        remarks.append(f"its header counts {_numbered(counted, 'triangle')}, {whole} are there")
+        cut = ": the count is wrong, or the file was cut off" if counted > whole else ""
+        said = f"its header counts {_numbered(counted, 'triangle')}, {whole} are there{cut}"
+        remarks.append(said)
     elif (after := len(data) - STL_HEADER - STL_TRIANGLE * counted) > 0:
         remarks.append(f"{_numbered(after, 'byte')} after the last triangle are not read")
     corners = rows["corners"][:n].reshape(-1, 3).astype(float)
@@ -157,7 +206,9 @@ def _floats(rows: Sequence[Sequence[str]], what: str) -> Array:
             is_good = False
         if not is_good:
             shown = " ".join(row)
-            raise MeshError(f"three numbers are wanted, got {shown[:60]!r}", f"{what} {i}")
+            remedy = "Export it with decimal points." if "," in shown else EXPORT_AGAIN
+            why = f"three numbers are wanted, got {shown[:60]!r}"
+            raise MeshError(why, f"{what} {i}", remedy)
     raise MeshError("its vertices are not of three numbers each")
 
 
@@ -402,6 +453,7 @@ OBJ_WORDS = frozenset(
 def _obj(data: bytes) -> RawMesh:
     text = data.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ")
     places, polygons, unknown = list[list[str]](), list[list[int]](), 0
+    of_polygon = list[int]()
     for i, line in enumerate(text.split("\n"), 1):
         words = line.split("#", 1)[0].split()
         if not words:
@@ -413,10 +465,16 @@ def _obj(data: bytes) -> RawMesh:
             if 0 in numbers:
                 raise MeshError("vertices are numbered from 1, got 0", f"line {i}")
             polygons.append([x - 1 if x > 0 else len(places) + x for x in numbers])
+            of_polygon.append(i)
         elif words[0] not in OBJ_WORDS:
             unknown += 1
     if not places:
         raise MeshError("there is no vertex in it")
+    n = len(places)
+    for i, polygon in zip(of_polygon, polygons, strict=True):
+        if outside := [x for x in polygon if not 0 <= x < n]:
+            why = f"a face has vertex {outside[0] + 1}, and there are {n} vertices"
+            raise MeshError(why, f"line {i}", "Repair the mesh and export it again.")
     remarks = (f"{_numbered(unknown, 'line')} that no OBJ file has are not read",)
     return RawMesh(
         vertices=_floats(places, "vertex"),

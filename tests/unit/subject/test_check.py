@@ -219,3 +219,33 @@ def test_exchanged_epicondyles_are_named_as_such(tmp_path: Path, side: Side) -> 
         read("lateral", "medial")
     with pytest.raises(InputError, match="Write side = "):
         read("medial", "lateral", "left" if side == "right" else "right")
+
+
+def _scaled(knee: Knee, factor: float, *, whole: bool = True) -> Knee:
+    tibia = tuple(x.scaled(factor) for x in knee.tibia) if whole else knee.tibia
+    return replace(knee, femur=knee.femur.scaled(factor), tibia=tibia)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(0.1, "cm"), (1 / 25.4, "inches"), (1000.0, "micrometres")]
+)
+@pytest.mark.parametrize("whole", [True, False])
+def test_other_units_than_millimetres_are_named(
+    knee: Knee, factor: float, words: str, *, whole: bool
+) -> None:
+    found = fatal_geometry_findings(_scaled(knee, factor, whole=whole))
+    assert {x.code for x in found} == {"in-metres"}
+    assert found[0].where == "femur"
+    assert words in found[0].remedy
+
+
+def test_a_surface_that_holds_another_is_named(knee: Knee) -> None:
+    both = joined(*knee.tibia)
+    for tibia in ((both, knee.tibia[1]), (knee.tibia[0], both)):
+        (found,) = fatal_geometry_findings(replace(knee, tibia=tibia))
+        assert (found.code, found.sentence[:20]) == ("surfaces-same", "It holds the surface")
+    # As a file in single precision has it, its triangles in another order.
+    single = knee.femur.vertices.astype(np.float32).astype(float)
+    femur = Surface(vertices=single[::-1], faces=len(single) - 1 - knee.femur.faces)
+    (found,) = fatal_geometry_findings(replace(knee, tibia=(femur, knee.tibia[1])))
+    assert found.sentence == "femur and tibia_medial are the same surface."

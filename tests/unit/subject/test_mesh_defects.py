@@ -234,3 +234,78 @@ def test_vtp_files_however_stored(tmp_path: Path, stored: str, packed: str) -> N
     assert found.vertices[2].tolist() == [2.0, 0.0, 2.0]
     assert found.repairs is not NOTHING
     assert found.repairs.clauses == ()
+
+
+def _text_stl(surface: Surface) -> str:
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corners)
+        + "endloop\nendfacet\n"
+        for corners in surface.vertices[surface.faces].tolist()
+    )
+    return f"solid x\n{facets}endsolid x\n"
+
+
+def _obj(surface: Surface) -> str:
+    lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
+    return "\n".join([*lines, *(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in surface.faces)])
+
+
+@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b"\xef\xbb\xbf# by an editor\n"])
+def test_a_mark_before_the_text_of_a_mesh_is_passed_over(
+    tmp_path: Path, clean: Surface, mark: bytes
+) -> None:
+    texts = {"obj": _obj(clean).encode()}
+    if not mark.endswith(b"\n"):
+        texts["stl"] = _text_stl(clean).encode()
+    for ending, text in texts.items():
+        (tmp_path / f"a.{ending}").write_bytes(text)
+        (tmp_path / f"b.{ending}").write_bytes(mark + text)
+        sound, found = (read_surface(tmp_path / f"{x}.{ending}") for x in "ab")
+        np.testing.assert_array_equal(found.faces, sound.faces)
+        np.testing.assert_array_equal(found.vertices, sound.vertices)
+
+
+@pytest.mark.parametrize(("held", "named"), [
+    ("obj", "stl"), ("ply", "stl"), ("vtp", "stl"), ("off", "obj"), ("stl", "obj"), ("obj", "ply"),
+    ("vtk", "ply"), ("ply", "vtp"),
+])  # fmt: skip
+def test_a_file_of_another_kind_is_named(
+    tmp_path: Path, clean: Surface, held: str, named: str
+) -> None:
+    texts = {
+        "off": b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+        "vtk": b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\n",
+        "stl": _text_stl(clean).encode(),
+    }
+    if held not in texts:
+        write_polygons(tmp_path / f"made.{held}", clean.vertices, clean.faces.tolist())
+        texts[held] = (tmp_path / f"made.{held}").read_bytes()
+    (tmp_path / f"a.{named}").write_bytes(texts[held])
+    with pytest.raises(InputError, match=f"it holds an? {held.upper()} file"):
+        read_surface(tmp_path / f"a.{named}")
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj"])
+def test_decimal_commas_are_named(tmp_path: Path, clean: Surface, ending: str) -> None:
+    text = _text_stl(clean) if ending == "stl" else _obj(clean)
+    (tmp_path / f"a.{ending}").write_text(text.replace(".", ","))
+    with pytest.raises(InputError, match="Export it with decimal points"):
+        read_surface(tmp_path / f"a.{ending}")
+
+
+@pytest.mark.parametrize("vertex", ["99999", "-99999"])
+def test_a_vertex_that_is_not_there_is_named_by_its_line(
+    tmp_path: Path, clean: Surface, vertex: str
+) -> None:
+    text = _obj(clean)
+    (tmp_path / "a.obj").write_text(f"{text}\nf 1 2 {vertex}\n")
+    with pytest.raises(InputError, match="a face has vertex") as caught:
+        read_surface(tmp_path / "a.obj")
+    assert caught.value.where == f"line {len(text.splitlines()) + 1}"
+
+
+def test_a_count_that_is_too_large_may_be_a_file_cut_off(tmp_path: Path, clean: Surface) -> None:
+    (tmp_path / "a.stl").write_bytes(binary_stl(clean)[: -50 * 9])
+    (clause,) = read_surface(tmp_path / "a.stl").repairs.clauses
+    assert "or the file was cut off" in clause
