@@ -142,6 +142,13 @@ def _side(model: OsimModel, stated: Side | None, *names: str) -> Side:
 
 
 LIGAMENT_CLASS = "Blankevoort1991Ligament"
+# Versions of OpenSim differ in what a path stands in.
+PATH_POINTS = ".//PathPointSet/objects/*"
+# Children of a force that name its bodies.
+BODY_TAGS = re.compile(r"socket_\w+|(body|frame)_?[12ab]?", re.IGNORECASE)
+POINT_TO_POINT = "PointToPoint"
+# Ligaments of a knee together are stiffer [kN], and none is so much longer than at rest.
+LEAST_STIFFNESS, SHORTEST = 0.5, 0.5
 TRANSITION_STRAIN = 0.06
 # How the bundles of the four single lines begin; the first beginning that occurs is taken, so that
 # the deep and posterior bundles of the medial collateral ligament stay out of its line.
@@ -181,7 +188,7 @@ class OsimLine:
 
 def ends_of(bones: Bones, element: Element) -> dict[str, OsimEnd]:
     """First and last point of a path, by the bone of this knee to which it is attached."""
-    points = element.findall("GeometryPath/PathPointSet/objects/*")
+    points = element.findall(PATH_POINTS)
     ends: dict[str, OsimEnd] = {}
     for point in (points[0], points[-1]) if len(points) > 1 else ():
         body, frame = bones.model.placed(point.findtext("socket_parent_frame", ""))
@@ -202,7 +209,8 @@ FITTED = "a cylinder replaces the ellipsoid they wrap around; lengths are up to 
 MERGED_STRAIGHT = "the merged lines are straight, their bundles wrap"
 OTHER_TOE = f"the transition strain {TRANSITION_STRAIN:g} replaces that of the model"
 CONDITIONAL = "ends that hold in a range of a coordinate alone are taken as fixed"
-OFF = "their force is switched off in the model (appliesForce false)"
+OFF = "their force is switched off in the model (appliesForce false or isDisabled true)"
+CONTACT_OFF = "its force is switched off in the model, and here the surfaces press all the same"
 MOVING = "an end moves along its bone, and only fixed ends are read"
 
 
@@ -244,10 +252,15 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
     if not lines:
         off = [*remarks[OFF], *remarks[MOVING]]
         why = f"no {LIGAMENT_CLASS} leads from the femur to the tibia"
+        if others := sorted({x.tag for x in other_ligaments(bones)}):
+            why = f"{why}: its ligaments are of class {' and '.join(others)}, which are not read"
         switched = f"all of class {LIGAMENT_CLASS} are switched off or have a moving end"
-        raise model.refusal(
-            "forces", switched if off else why, "Give a model whose ligaments are of that class."
-        )
+        remedy = f"Give a model whose ligaments are of class {LIGAMENT_CLASS}."
+        raise model.refusal("forces", switched if off else why, remedy)
+    total = sum(x.ligament.stiffness_kN for x in lines)
+    if 0.0 < total < LEAST_STIFFNESS:
+        why = f"all ligaments together have a linear_stiffness of {1000.0 * total:.3g} N"
+        raise model.refusal("forces", why, "If these are kN, multiply by 1000.")
     return lines, [
         NotTaken(
             kind=LIGAMENT_CLASS,
@@ -266,15 +279,24 @@ def other_ligaments(bones: Bones) -> list[Element]:
     return [
         x
         for x in bones.model.forces
-        if x.tag != LIGAMENT_CLASS
-        and not is_muscle(x)
-        and set(ends_of(bones, x)) == {"femur", "tibia"}
+        if x.tag != LIGAMENT_CLASS and not is_muscle(x) and _joins_the_bones(bones, x)
     ]
+
+
+def _joins_the_bones(bones: Bones, force: Element) -> bool:
+    """Whether a force pulls along a line between this femur and this tibia."""
+    if POINT_TO_POINT not in force.tag or force.find(PATH_POINTS) is not None:
+        return set(ends_of(bones, force)) == {"femur", "tibia"}
+    bodies = _bodies_of(bones, force)
+    return all(bodies & set(own) for own in (bones.femur, bones.tibia))
 
 
 def unread_names(bones: Bones, not_taken: Sequence[NotTaken]) -> list[str]:
     """Names of the ligaments between femur and tibia that the model has and that are not read."""
     left_out = [name for x in not_taken if x.change == "left out" for name in x.names]
+    left_out += [
+        x.get("name", "") for x in bones.model.all_of(LIGAMENT_CLASS) if x.find(PATH_POINTS) is None
+    ]
     return left_out + [x.get("name", "") for x in other_ligaments(bones)]
 
 
@@ -377,6 +399,10 @@ def _ligament(
         raise model.refusal(
             f"ligament {name}", f"its slack length is {slack:g} m", "Give a positive one."
         )
+    length = float(np.linalg.norm(ends["tibia"] - ends["femur"]))
+    if length < SHORTEST * slack:
+        why = f"its slack length is {slack:g} m, and its ends are {length:.3g} m apart"
+        raise model.refusal(f"ligament {name}", why, "Give the slack length in metres.")
     try:
         made = Ligament(
             name=name,
@@ -394,6 +420,8 @@ def _ligament(
         ) from error
 
 
+# No surface of a knee is so large [m].
+LARGEST_M = 1.0
 # Parts of a tibial mesh smaller than this share of it are crumbs.
 CRUMB_SHARE = 0.01
 
@@ -566,6 +594,12 @@ def _meshes(
         faces = surface.faces[:, ::-1] if is_mirrored else surface.faces
         scaled = Surface(vertices=surface.vertices * factors, faces=faces)
         placed = (bodies[body] @ frame).moved(scaled).scaled(MM_PER_M)
+        if (across := float(np.ptp(placed.vertices, axis=0).max() / MM_PER_M)) > LARGEST_M:
+            raise model.refusal(
+                f"contact mesh {mesh.get('name')}",
+                f"{file.name} is {across:.3g} m across with its scale_factors",
+                "Lengths must be in metres: for a file in mm write scale_factors 0.001 each.",
+            )
         if any(np.array_equal(placed.vertices, x.vertices) for x in surfaces):
             remarks.append(remark(mesh, "the same surface is given twice"))
             continue
@@ -848,14 +882,14 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
         coordinate = (x.findtext("coordinate") or "").strip().split("/")[-1]
         ends = set(ends_of(bones, x))
         if x.tag == LIGAMENT_CLASS:
-            if x.find("GeometryPath/PathPointSet/objects/*") is None:
+            if x.find(PATH_POINTS) is None:
                 yield remark(x, "its path has no points", is_line=True)
             elif ends != {"femur", "tibia"}:
                 yield remark(x, "it does not lead from the femur to the tibia of this knee")
             elif float((x.findtext("damping_coefficient") or "0").split()[0]):
                 yield remark(x, "damping is left out: there is no time", "changed")
         elif "Contact" in x.tag or x.tag in ("ElasticFoundationForce", "HuntCrossleyForce"):
-            yield remark(x, CONTACT_LAW, "changed")
+            yield remark(x, CONTACT_OFF if is_off(x) else CONTACT_LAW, "changed")
         elif is_muscle(x):
             yield remark(x, "no muscle pulls")
         elif coordinate in own:
@@ -867,11 +901,11 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
 
 
 def _bodies_of(bones: Bones, force: Element) -> set[str]:
-    """The bodies of this knee that a force names in its sockets and on its path."""
+    """The bodies of this knee that a force names, in its sockets and on its path."""
     named = {
         bones.model.placed(text)[0]
         for x in force.iter()
-        if x.tag.startswith("socket_") and (text := (x.text or "").strip())
+        if BODY_TAGS.fullmatch(x.tag) and (text := (x.text or "").strip())
     }
     return named & {*bones.femur, *bones.tibia}
 
@@ -921,7 +955,7 @@ def _bodies(bones: Bones) -> Iterator[NotTaken]:
         x.findtext("wrap_object")
         for line in bones.model.all_of(LIGAMENT_CLASS)
         if len(ends_of(bones, line)) == len(BONES)
-        for x in line.iterfind("GeometryPath/PathWrapSet/objects/PathWrap")
+        for x in line.iterfind(".//PathWrapSet/objects/PathWrap")
     }
     for x in bones.model.listed("BodySet"):
         name = x.get("name", "")

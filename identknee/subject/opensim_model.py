@@ -16,6 +16,8 @@ Element = ET.Element
 MM_PER_M = 1000.0
 # No length, angle, factor or stiffness of a knee comes near; products of larger ones may overflow.
 LARGEST = 1e9
+# How classes of forces are called.
+FORCE_ENDINGS = ("Force", "Spring", "Ligament", "Actuator")
 # Frames in frames, and functions of functions.
 DEEPEST = 100
 # What the parser says of a character that cannot stand where it does.
@@ -138,7 +140,7 @@ class OsimModel:
             *(
                 x
                 for x in self._model.iterfind("components/*")
-                if x.find("GeometryPath") is not None
+                if x.find(".//PathPointSet") is not None or x.tag.endswith(FORCE_ENDINGS)
             ),
         ]
 

@@ -91,10 +91,10 @@ def wrapping_of(
     """
     names = [
         (x.findtext("wrap_object") or "").strip()
-        for x in path.iterfind("GeometryPath/PathWrapSet/objects/PathWrap")
+        for x in path.iterfind(".//PathWrapSet/objects/PathWrap")
     ]
     own = [objects[x] for x in names if x in objects]
-    if len(path.findall("GeometryPath/PathPointSet/objects/*")) > 2 or len(own) > 1:
+    if len(path.findall(".//PathPointSet/objects/*")) > 2 or len(own) > 1:
         return Wrapping(obstacle=None, why_straight=SEVERAL)
     if not own:
         return Wrapping(obstacle=None)

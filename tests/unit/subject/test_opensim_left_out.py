@@ -131,6 +131,102 @@ def test_every_other_force_is_named(tmp_path: Path, knee: Knee, kind: str, conte
     assert len(import_opensim(path).ligaments) == 4
 
 
+POINTS = (
+    (
+        "PointToPointSpring",
+        "<socket_body1>/bodyset/{}</socket_body1><socket_body2>../{}</socket_body2>",
+    ),
+    ("ExpressionBasedPointToPointForce", "<body1>{}</body1><body2>{}</body2>"),
+)
+
+
+@pytest.mark.parametrize(("kind", "content"), POINTS)
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+@pytest.mark.parametrize("group", ["ForceSet", "components"])
+def test_a_line_between_points_is_a_ligament_that_is_left_out(
+    tmp_path: Path, knee: Knee, kind: str, content: str, bundles: str, group: str
+) -> None:
+    path = changed(write_model(tmp_path, knee), "PCL", lambda _: "")
+    line = f'<{kind} name="PCL_spring">{content.format("tibia_r", "femur_r")}</{kind}>'
+    if group == "components":
+        edited(path, ("<length_units>", f"<components>{line}</components><length_units>"))
+    else:
+        edited(path, _force(line))
+    told = listed(path, bundles=bundles)["PCL_spring", kind]
+    assert (told.change, told.is_line) == ("left out", True)
+    assert [x.name for x in import_opensim(path).ligaments] == ["ACL", "LCL", "MCL"]
+
+
+def test_a_line_between_points_of_other_bodies_is_no_ligament(tmp_path: Path, knee: Knee) -> None:
+    kind, content = POINTS[1]
+    one = f'<{kind} name="it">{content.format("talus_r", "pelvis")}</{kind}>'
+    path = edited(write_model(tmp_path, knee), _force(one))
+    told = listed(path)["it", kind]
+    assert (told.is_line, told.why) == (False, "it acts on no bone of this knee")
+
+
+def test_contact_that_is_switched_off_is_said(tmp_path: Path, knee: Knee) -> None:
+    kind = "Smith2018ArticularContactForce"
+    words = {}
+    for off in ("false", "true"):
+        folder = tmp_path / off
+        folder.mkdir()
+        force = f'<{kind} name="it"><appliesForce>{off}</appliesForce></{kind}>'
+        words[off] = listed(edited(write_model(folder, knee), _force(force)))["it", kind].why
+    assert "switched off" in words["false"]
+    assert "law of identknee" in words["true"]
+
+
+def test_a_path_may_stand_in_another_element(tmp_path: Path, knee: Knee) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: x.replace("<GeometryPath", "<path><GeometryPath").replace(
+            "</GeometryPath>", "</GeometryPath></path>"
+        ),
+    )
+    assert [x.name for x in import_opensim(path).ligaments] == ["ACL", "PCL", "LCL", "MCL"]
+
+
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+def test_a_ligament_whose_path_is_a_function_is_left_out(
+    tmp_path: Path, knee: Knee, bundles: str
+) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: re.sub("<GeometryPath.*</GeometryPath>", "<FunctionBasedPath/>", x, flags=re.S),
+    )
+    assert listed(path, bundles=bundles)["ACL", KIND].change == "left out"
+
+
+def test_a_model_of_another_class_alone_is_refused_by_its_name(tmp_path: Path, knee: Knee) -> None:
+    path = edited(write_model(tmp_path, knee), (KIND, "Ligament"))
+    with pytest.raises(InputError, match="its ligaments are of class Ligament, which are not read"):
+        import_opensim(path)
+
+
+def test_other_units_than_those_of_opensim_are_named(tmp_path: Path, knee: Knee) -> None:
+    def model(name: str, before: str, after: Callable[[float], str]) -> Path:
+        folder = tmp_path / name
+        folder.mkdir()
+        path = write_model(folder, knee)
+        text = path.read_text(encoding="utf-8")
+        new = re.sub(rf"(?<=<{before}>)[^<]+", lambda x: after(float(x[0])), text)
+        assert new != text
+        path.write_text(new, encoding="utf-8")
+        return path
+
+    with pytest.raises(InputError, match=r"ligament ACL: its slack length is .* in metres"):
+        import_opensim(model("slack", "slack_length", lambda x: f"{1000 * x}"))
+    with pytest.raises(InputError, match=r"linear_stiffness of 42.3 N\. If these are kN"):
+        import_opensim(model("kN", "linear_stiffness", lambda x: f"{x / 1000}"))
+    path = write_model(tmp_path, knee)
+    edited(path, (">1 1 1</scale_factors>", ">1e3 1e3 1e3</scale_factors>"))
+    with pytest.raises(InputError, match=r"contact mesh femur_mesh: .* m across .*0\.001 each"):
+        import_opensim(path)
+
+
 def test_ligaments_elsewhere_are_named(tmp_path: Path, knee: Knee) -> None:
     patellar = LIGAMENT.format(
         name="PT", side="r", femur="0 0 0", tibia="0 0 1", stiffness=1, slack=1, via=""
