@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.checks.ambiguous_translations import translations_findings
+from identknee.checks.replicates_apart import replicates_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,
     suspicious_end_points,
@@ -86,6 +87,7 @@ def trials_asked(
         findings=(
             *laxity.findings,
             *translations_findings(left, noise_mm),
+            *replicates_findings(without, noise_mm),
             *trial_findings(rows, without, "trial-against-course", is_left_out=True),
             *(
                 finding("trial-left-out", trials[i], {"trial": trials[i]})

@@ -11,6 +11,7 @@ INTACT, CUT = "intact", "cut:"
 LOAD_CELL = ("load_cell_N", "load_cell_Nm")
 LARGEST_OFFSET = (1000.0, 100.0)
 _LIGAMENT = re.compile(r"(?P<ligament>[^,%]+?)(?:\s+(?P<percent>[0-9.]+)\s*%)?")
+_BETWEEN = re.compile(r"\s*[,+&/;]\s*|\s+and\s+")
 _NAME = re.compile(r"[\w-]([\w -]*[\w-])?")
 _STATE = re.compile(r"cut\s*:(?P<first>.+)|(?P<last>.+?)[\s-]+(cut|deficient)", re.IGNORECASE)
 WRITE = 'write "intact", "cut: ACL", "cut: ACL, dMCL" or "cut: ACL 50%"'
@@ -84,12 +85,14 @@ def cuts_of(state: str) -> tuple[Cut, ...]:
     [('ACL', 1.0), ('MCL', 0.5)]
     >>> cuts_of("intact"), state_words(cuts_of("ACL cut")), state_words(cuts_of("ACL-deficient"))
     ((), 'cut: ACL', 'cut: ACL')
+    >>> state_words(cuts_of("ACL+MCL cut")), state_words(cuts_of("cut: LCL and ACL"))
+    ('cut: ACL, MCL', 'cut: ACL, LCL')
     """
     if state.strip().lower() in (INTACT, ""):
         return ()
     if (form := _STATE.fullmatch(state.strip())) is None:
         raise ValueRefused(f"the state {state!r} is unknown", WRITE)
-    found = [_cut(state, x) for x in (form["first"] or form["last"]).split(",")]
+    found = [_cut(state, x) for x in _BETWEEN.split(form["first"] or form["last"])]
     names = [x.ligament for x in found]
     if twice := next((x for x in names if names.count(x) > 1), ""):
         raise ValueRefused(f"the state {state!r} cuts {twice} twice", "name each ligament once")

@@ -191,6 +191,14 @@ _ALL = (
         "Check that the columns of loads are there.",
     ),
     FindingKind(
+        code="replicates-apart",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="Trials of equal loads gave answers too far apart for noise, as rows of several "
+        "states of a knee in one table do.",
+        remedy="Say in a column state which rows are of which state, or give a table each.",
+    ),
+    FindingKind(
         code="trial-against-course",
         severity=WARNING,
         about=About.DATA,

@@ -201,6 +201,12 @@ def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
         )
     if data is not None and _is_subject(data):
         raise ValueRefused(f"{_shown(data)} is a subject where the laxity table belongs", ORDER)
+    if _is_protocol(data):
+        raise ValueRefused(
+            f"{_protocol_name(data)} is a protocol where the laxity table belongs",
+            "give measured laxity"
+            + (", or name it as the protocol" if PROTOCOL in arguments else ""),
+        )
     if data is not None and not isinstance(data, Laxity):
         check_is_table(data)
 
@@ -219,6 +225,10 @@ def _is_protocol(given: Any) -> bool:
     if isinstance(given, str):
         return given in BUILT_IN and not Path(given).exists()
     return isinstance(given, Protocol)
+
+
+def _protocol_name(given: Any) -> str:
+    return given.name if isinstance(given, Protocol) else _shown(given)
 
 
 def _is_subject(given: Any) -> bool:
