@@ -88,5 +88,20 @@ register(
         then="Next: identknee subject check {out}",
     )
 )
-__getattr__, __dir__, _ = attach_stub(__name__, __file__)
+_named, __dir__, _ = attach_stub(__name__, __file__)
 del attach_stub, set_printer, register, Verb
+
+
+def __getattr__(name: str) -> object:
+    """A public name; one that a package holds is found there, with a warning that says where."""
+    try:
+        return _named(name)
+    except AttributeError:
+        from pkgutil import iter_modules
+
+        from identknee.runs.packages import held_by_package
+
+        packages = {x.name: _named(x.name) for x in iter_modules(__path__) if x.name in __dir__()}
+        if not name.startswith("_") and (package := held_by_package(packages, __name__, name)):
+            return getattr(package, name)
+        raise

@@ -52,6 +52,13 @@ def test_other_names_are_missed_in_the_usual_way() -> None:
         _ = ik.sweeep  # type: ignore[attr-defined]
 
 
+def test_names_of_earlier_versions_are_found_in_their_package() -> None:
+    with pytest.warns(DeprecationWarning, match=r"identknee\.model\.Parameters") as caught:
+        assert ik.Parameters is ik.model.Parameters  # type: ignore[attr-defined]
+    assert caught[0].filename == __file__
+    assert "Parameters" not in dir(ik)
+
+
 @pytest.mark.parametrize("module", ["identknee", "identknee.cli.app"])
 def test_a_start_loads_nothing_heavy(module: str) -> None:
     code = f"import {module}, sys; print([x for x in {HEAVY} if x in sys.modules])"
