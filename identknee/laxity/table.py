@@ -559,7 +559,10 @@ def _check_counting(file: CellFile, rows: Sequence[TableRow], values: Array) -> 
         if is_so(values):
             row = rows[int(place(values))]
             why = f"flexion {how}, here {row.number(FLEXION):g}"
-            row.refuse(FLEXION, why, f"Write as a line of the file: # column: {FLEXION} = {line}")
+            remedy = f"Write as a line of the file: # column: {FLEXION} = {line}"
+            if is_so is is_in_radians and file.path.suffix.lower() in SUFFIXES:
+                remedy = "Write inDegrees=no above endheader."
+            row.refuse(FLEXION, why, remedy)
 
 
 def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:

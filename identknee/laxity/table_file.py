@@ -458,6 +458,8 @@ def _column_remedy(name: str, known: tuple[str, ...]) -> str:
     """The closest known column, or how to name one; a different unit changes its values too."""
     remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
     close = closest(name, known)
+    if re.match(r"t(ime)?($|[_\W])", name, re.IGNORECASE):
+        return f"To read a series, write with the factor to seconds: # column: {TIME} = 1 * {name}"
     if not close:
         return f"{remedy} To read it as one of them, begin the file: # column: ONE = 1 * {name}"
     if not quantity or close.rpartition("_")[0] != quantity:
@@ -473,6 +475,8 @@ TURN = 0.2
 SECOND = 0.5
 # A load that strays by less than this share of a usual test's is held.
 HELD = 0.2
+# Flexion that changes more than this while loads are held may be in radians.
+MAY_BE_RADIANS = 0.1
 # Least standard deviation of a loading curve: no sensor resolves less [mm, deg].
 LEAST_SD = 1e-3
 
@@ -585,7 +589,13 @@ def _ramp_load(path: Path, ramp: str, samples: Array) -> int | None:
     second, first = (int(x) for x in np.argsort(shares)[-2:])
     if shares[first] < STRAY:
         why = f"no load changes by more than {100 * STRAY:.0f} % of a usual test's"
-        raise InputError(path, where, why, "Give the samples while a load grows.")
+        remedy = "Give the samples while a load grows."
+        if changes[0] > MAY_BE_RADIANS:
+            why += f", and flexion by {changes[0]:.2g} deg"
+            remedy += (
+                " If flexion is in radians, write: # column: flexion_deg = 57.29578 * ITS_NAME."
+            )
+        raise InputError(path, where, why, remedy)
     if shares[second] > SECOND * shares[first]:
         words = " and ".join(f"{DIRECTIONS[x][0]} ({changes[1 + x]:.3g})" for x in (first, second))
         why, remedy = f"two loads change: {words}", "Name each load's ramp in a column trial."

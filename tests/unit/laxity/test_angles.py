@@ -215,6 +215,29 @@ def test_degrees_that_a_line_makes_radians_are_refused_by_that_line(
         read_laxity(storage(tmp_path / "ramp.sto", line, deg=True))
 
 
+def test_radians_that_a_line_calls_degrees_are_named(tmp_path: Path) -> None:
+    path = storage(tmp_path / "ramp.sto", "inDegrees=yes")
+    path.write_text(path.read_text().replace("0.5\t", "0.4363323\t"))
+    with pytest.raises(InputError, match=r"flexion is in radians, .* Write inDegrees=no"):
+        read_laxity(path)
+
+
+def test_a_sweep_of_flexion_in_radians_is_told_the_line(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i},{0.1 * i},5,{i}" for i in range(12))
+    path = tmp_path / "sweep.csv"
+    path.write_text(f"time_s,flexion_deg,varus_moment_Nm,internal_deg\n{rows}\n")
+    with pytest.raises(InputError, match=r"57\.29578 \* ITS_NAME"):
+        read_laxity(path)
+
+
+@pytest.mark.parametrize("name", ["time", "time_ms", "t", "Time [s]"])
+def test_a_time_of_another_name_is_told_the_line(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "series.csv"
+    path.write_text(f"{name},flexion_deg,varus_moment_Nm,varus_deg\n0,0,5,1\n")
+    with pytest.raises(InputError, match=r"# column: time_s = 1 \* "):
+        read_laxity(path)
+
+
 def test_a_head_that_does_not_end_is_named(tmp_path: Path) -> None:
     path = storage(tmp_path / "ramp.sto", "version=1")
     path.write_text(path.read_text().replace("endheader\n", ""))
@@ -240,7 +263,7 @@ def test_flexion_in_radians_is_named_with_the_line_that_reads_it(tmp_path: Path)
     np.testing.assert_allclose(read_laxity(path).protocol.flexion_deg, [0, 30, 60, 90], atol=0.01)
 
 
-@pytest.mark.parametrize("flexion", [[0.0, 0.5, 1.0], [0.0, 0.5236, 0.0], [0.09, 0.5236, 30.0]])
+@pytest.mark.parametrize("flexion", [[0.0, 0.5, 1.0], [0.0, 0.52, 0.0], [0.09, 0.5236, 30.0]])
 def test_small_flexion_is_no_radians(flexion: list[float], tmp_path: Path) -> None:
     rows = "\n".join(f"{i},{x},1" for i, x in enumerate(flexion))
     path = tmp_path / "table.csv"
