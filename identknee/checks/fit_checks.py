@@ -355,6 +355,9 @@ CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2
 # nothing, where that load is at least so large [N]: less no laxity test can tell.
 IDLE_SHARE, LEAST_LOAD_N = 0.05, 10.0
 IDLE = "ligament-idle"
+# So many ligaments, all so many times as stiff as stated and so much alike, have loads of another
+# unit.
+LEAST_LIGAMENTS, MANY_TIMES, ALIKE_TIMES = 3, 5.0, 4.0
 VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
 
 
@@ -427,6 +430,23 @@ def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Findi
             }
             found.append(finding("ligament-beyond-prior", load.name, values))
     return tuple(found)
+
+
+def common_scale_findings(model: LaxityModel, theta: Array) -> tuple[Finding, ...]:
+    """That all ligaments are many times stiffer or more compliant than stated, and alike so.
+
+    Loads in another unit do that: only contact, and limits, tell them from a soft knee.
+    """
+    n = model.tied.n
+    times = theta[:n] / model.parameters.center[:n]
+    if n < LEAST_LIGAMENTS or not np.all(np.isfinite(times) & (times > 0.0)):
+        return ()
+    mean = float(np.exp(np.log(times).mean()))
+    if max(mean, 1.0 / mean) < MANY_TIMES or times.max() > ALIKE_TIMES * times.min():
+        return ()
+    word = "stiffer" if mean > 1.0 else "more compliant"
+    values = {"times": max(mean, 1.0 / mean), "way": word}
+    return (finding("stiffness-scaled", "ligaments", values),)
 
 
 def idle_parameters(model: LaxityModel, prediction: Prediction) -> tuple[str, ...]:
@@ -564,6 +584,7 @@ def check_fit(
         *stability_findings(model),
         *rim_findings(model.protocol.trials, fitted.prediction),
         *(x for x in ligament_findings(model, fitted.prediction) if x.code == IDLE),
+        *common_scale_findings(model, fitted.prediction.theta),
         *implausible_findings(model, fitted.prediction),
     ]
     table = table_findings(model, whole)

@@ -442,6 +442,16 @@ _ALL = (
         "prior {prior_force_N:.0f} N in the same poses): torn, slack or absent predict the same.",
     ),
     FindingKind(
+        code="stiffness-scaled",
+        severity=WARNING,
+        about=About.MODEL,
+        meaning="All ligaments are many times stiffer or more compliant than the subject states, "
+        "as with loads in another unit.",
+        remedy="Give moments in N·m and forces in N.",
+        template="All ligaments are about {times:.2g} times {way} than the subject states: check "
+        "that moments are in N·m and forces in N.",
+    ),
+    FindingKind(
         code="ligament-beyond-prior",
         severity=WARNING,
         about=About.MODEL,

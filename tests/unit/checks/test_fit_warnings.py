@@ -6,6 +6,7 @@ from scipy import stats
 
 from identknee.checks.fit_checks import (
     bound_findings,
+    common_scale_findings,
     conditional_findings,
     misfit_findings,
     misfit_probability,
@@ -15,6 +16,8 @@ from identknee.checks.fit_checks import (
     unstated_misfit_findings,
 )
 from identknee.checks.table_checks import IMPROBABLE
+from identknee.laxity.protocol import load_protocol
+from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.runs.findings import (
     Doubt,
@@ -25,6 +28,7 @@ from identknee.runs.findings import (
     finding_lines,
 )
 from identknee.runs.schema import summary_of
+from identknee.subject.reference import reference_knee
 
 NAMES = ("ACL.stiffness_kN", "PCL.stiffness_kN", "ACL.reference_strain_pct")
 
@@ -158,3 +162,24 @@ def test_terminal_and_file_show_the_gravest_first() -> None:
     stored = [summary_of(x) for x in by_severity(findings)]
     assert [x["code"] for x in stored] == ["misfit-gross", "misfit-improbable", "noise-unstated"]
     assert stored[1]["values"]["chi_square"] == 150.0
+
+
+@pytest.mark.parametrize(("factor", "way"), [(0.1, "more compliant"), (9.8, "stiffer")])
+def test_ligaments_all_scaled_alike_point_to_the_unit_of_loads(factor: float, way: str) -> None:
+    model = LaxityModel(knee=reference_knee(), protocol=load_protocol("drawer"))
+    theta = np.array(model.parameters.center)
+    theta[:4] *= factor * np.array([1.0, 1.5, 0.8, 1.2])
+    (found,) = common_scale_findings(model, theta)
+    assert found.code == "stiffness-scaled"
+    assert found.values["way"] == way
+    assert found.values["times"] == pytest.approx(10.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "times", [[1, 1, 1, 1], [0.3, 0.3, 0.3, 0.3], [0.1, 0.1, 0.1, 1.0], [0, 0.1, 0.1, 0.1]]
+)
+def test_ligaments_that_differ_or_are_near_are_not_scaled(times: list[float]) -> None:
+    model = LaxityModel(knee=reference_knee(), protocol=load_protocol("drawer"))
+    theta = np.array(model.parameters.center)
+    theta[:4] *= times
+    assert common_scale_findings(model, theta) == ()
