@@ -309,9 +309,12 @@ class OsimModel:
         )
 
     def _malformed(self, element: Element, tag: str, wanted: str) -> InputError:
+        why = f"<{tag}> must hold {wanted}, got {shown(element.findtext(tag))}"
+        if element.find(tag) is None:
+            why = f"<{tag}> is missing"
         return self.refusal(
             f"{element.tag} {element.get('name', '')}".strip(),
-            f"<{tag}> must hold {wanted}, got {shown(element.findtext(tag))}",
+            why,
             "Open the model in OpenSim 4 and save it again.",
         )
 

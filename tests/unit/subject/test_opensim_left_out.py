@@ -227,6 +227,16 @@ def test_other_units_than_those_of_opensim_are_named(tmp_path: Path, knee: Knee)
         import_opensim(path)
 
 
+def test_a_number_that_is_missing_is_said_to_be(tmp_path: Path, knee: Knee) -> None:
+    path = changed(
+        write_model(tmp_path, knee),
+        "ACL",
+        lambda x: re.sub("<slack_length>.*</slack_length>", "", x),
+    )
+    with pytest.raises(InputError, match=r"Ligament ACL: <slack_length> is missing\."):
+        import_opensim(path)
+
+
 def test_ligaments_elsewhere_are_named(tmp_path: Path, knee: Knee) -> None:
     patellar = LIGAMENT.format(
         name="PT", side="r", femur="0 0 0", tibia="0 0 1", stiffness=1, slack=1, via=""
