@@ -78,6 +78,8 @@ MOST_ROUNDS = 3
 # A fit that is less probable under noise is searched for anew unless it ended at a minimum, in
 # searches of so many simulations at first, of whose ends the lowest are polished.
 REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
+# A torn ligament explains a misfit that noise alone then makes in one of twenty tables or more.
+EXPLAINED = 0.05
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -491,9 +493,13 @@ def without_idle_priors(base: BaseFit) -> BaseFit:
     # A prior can hold what is torn at a load that the data reject: without it, it may carry none.
     found = _without_priors(base, sorted(refuted))
     idle = refuted & _idle(found.fitted)
+    if not idle:
+        return base
     if idle < refuted:
-        found = _without_priors(base, sorted(idle)) if idle else base
-    return found if idle <= _idle(found.fitted) else base
+        found = _without_priors(base, sorted(idle))
+    # Only where that explains the misfit: another cause may look like a torn ligament.
+    is_explained = without_causes(found).misfit_p_value > EXPLAINED
+    return found if is_explained and idle <= _idle(found.fitted) else base
 
 
 def _idle(fitted: FittedModel) -> set[str]:

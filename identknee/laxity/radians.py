@@ -1,4 +1,4 @@
-"""Flexion that was written in radians where degrees belong."""
+"""Flexion of a storage that was written in radians under a line that says degrees."""
 
 import numpy as np
 

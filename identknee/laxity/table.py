@@ -553,16 +553,17 @@ def _check_counting(file: CellFile, rows: Sequence[TableRow], values: Array) -> 
     ways = (
         (is_from_straight, np.nanargmax, "counts from a straight knee at 180 deg", f"180 - {own}"),
         (is_negative, np.nanargmin, "grows towards negative angles", f"-1 * {own}"),
-        (is_in_radians, np.nanargmax, "is in radians", f"57.29578 * {own}"),
     )
     for is_so, place, how, line in ways:
         if is_so(values):
             row = rows[int(place(values))]
             why = f"flexion {how}, here {row.number(FLEXION):g}"
-            remedy = f"Write as a line of the file: # column: {FLEXION} = {line}"
-            if is_so is is_in_radians and file.path.suffix.lower() in SUFFIXES:
-                remedy = "Write inDegrees=no above endheader."
-            row.refuse(FLEXION, why, remedy)
+            row.refuse(FLEXION, why, f"Write as a line of the file: # column: {FLEXION} = {line}")
+    # Of other tables `identknee.checks.broken_convention` asks it, with a fit.
+    if file.path.suffix.lower() in SUFFIXES and is_in_radians(values):
+        row = rows[int(np.nanargmax(values))]
+        why = f"flexion is in radians, here {row.number(FLEXION):g}, where a line says degrees"
+        row.refuse(FLEXION, why, "Write inDegrees=no above endheader.")
 
 
 def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:

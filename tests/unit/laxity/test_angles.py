@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from identknee.checks.left_out_trials import trials_asked
+from identknee.laxity.radians import is_in_radians
 from identknee.laxity.table import COORDINATES, Laxity, read_laxity
 from identknee.laxity.table_file import (
     coordinate_turns,
@@ -252,23 +253,19 @@ def test_a_storage_without_a_line_for_flexion_is_told_one(tmp_path: Path) -> Non
         read_laxity(path)
 
 
-def test_flexion_in_radians_is_named_with_the_line_that_reads_it(tmp_path: Path) -> None:
-    rows = "a,0.0,1\nb,0.5236,2\nc,1.0472,3\nd,1.5708,4\n"
-    path = tmp_path / "table.csv"
-    path.write_text(f"trial,flexion_deg,varus_deg\n{rows}")
-    with pytest.raises(InputError, match=r"flexion is in radians, here 1\.5708") as caught:
-        read_laxity(path)
-    line = caught.value.remedy.partition("file: ")[2]
-    path.write_text(f"{line}\ntrial,flexion_deg,varus_deg\n{rows}")
-    np.testing.assert_allclose(read_laxity(path).protocol.flexion_deg, [0, 30, 60, 90], atol=0.01)
-
-
-@pytest.mark.parametrize("flexion", [[0.0, 0.5, 1.0], [0.0, 0.52, 0.0], [0.09, 0.5236, 30.0]])
-def test_small_flexion_is_no_radians(flexion: list[float], tmp_path: Path) -> None:
-    rows = "\n".join(f"{i},{x},1" for i, x in enumerate(flexion))
-    path = tmp_path / "table.csv"
-    path.write_text(f"trial,flexion_deg,varus_deg\n{rows}")
-    assert read_laxity(path).protocol.flexion_deg.tolist() == flexion
+@pytest.mark.parametrize(
+    ("flexion", "is_so"),
+    [
+        ([0.0, 0.5236, 1.0472, np.nan], True),
+        ([0.43633, 0.43633], True),
+        ([0.0, 0.5, 1.0], False),
+        ([0.0, 0.52, 0.0], False),
+        ([0.09, 0.5236, 30.0], False),
+        ([0.0, np.nan], False),
+    ],
+)
+def test_small_flexion_is_no_radians(flexion: list[float], *, is_so: bool) -> None:
+    assert is_in_radians(np.array(flexion)) == is_so
 
 
 def test_a_line_that_opensim_ignores_is_refused(tmp_path: Path) -> None:
