@@ -104,13 +104,19 @@ def contact_centres(contact, work, centres):
 
     It is that of the pushes last written.
     """
+    force_centres(contact.compartment, 0, work.placed.counts[N_TOUCHING], work, centres)
+
+
+@compiled
+def force_centres(owner, begin, end, work, centres):
+    """Write the same of the elements from `begin` to `end`, whose points have an owner each."""
     t, expansion = work.placed.translation, work.expansion
     touching, pushes = work.touching, work.pushes
     for c in range(centres.shape[0]):
         total, y0, y1, y2, x0, x1, x2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(work.placed.counts[N_TOUCHING]):
+        for i in range(begin, end):
             f0, f1, f2 = pushes[3, i], pushes[4, i], pushes[5, i]
-            is_here = contact.compartment[touching[i]] == c
+            is_here = owner[touching[i]] == c
             force = math.sqrt(f0 * f0 + f1 * f1 + f2 * f2) if is_here else 0.0
             total += force
             y0 += force * expansion[0, i]

@@ -7,8 +7,9 @@ import numpy as np
 
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints
-from identknee.mechanics.pose import place, rotation_matrix
-from identknee.runs.arrays import Array, IntArray
+from identknee.mechanics.menisci import NO_MENISCI, UNIT_LAW
+from identknee.mechanics.pose import Placement, place, rotation_matrix
+from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.progress import progress
 
@@ -158,21 +159,58 @@ def _contact_places(
     femoral = places[pose, index]
     distance, outward = distances(field, femoral)
     inside = distance < law.rounding
-    pose, index, depth, outward = pose[inside], index[inside], -distance[inside], outward[inside]
-    jacobian = placed.jacobian(contact.points[index], pose)
+    found = pose[inside], index[inside], femoral[inside], outward[inside], -distance[inside]
+    return _pressing(placed, field, contact.points, contact.areas, law, found)
+
+
+def meniscus_places(
+    contact: ContactPoints, field: DistanceField, flexion: Array, poses: Array
+) -> ContactPlaces:
+    """The points of the menisci that press at flexion angles ``(n,)`` [rad] and poses ``(n, 5)``.
+
+    Depths are those in a femur whose surface lies as much higher as each point is high. There are
+    none where the contact has no menisci.
+    """
+    placed, menisci = place(flexion, poses), contact.menisci or NO_MENISCI
+    places = field.to_field(placed.to_femur(menisci.points))
+    wide, law = menisci.field or field, UNIT_LAW
+    pose, index = np.nonzero(_is_in_field(wide, places))
+    femoral = places[pose, index]
+    distance, outward = distances(wide, femoral)
+    depth = menisci.heights[index] - distance
+    inside = depth > -law.rounding
+    found = pose[inside], index[inside], femoral[inside], outward[inside], depth[inside]
+    springs = menisci.areas * menisci.stiffness[menisci.side]
+    return _pressing(placed, field, menisci.points, springs, law, found)
+
+
+def _pressing(
+    placed: Placement,
+    field: DistanceField,
+    points: Array,
+    springs: Array,
+    law: ContactLaw,
+    found: tuple[IntArray, IntArray, Array, Array, Array],
+) -> ContactPlaces:
+    """The points that press: the force of each is its spring times the pressure of a unit's law.
+
+    `found` has pose and index of each, its place, the slope of the distance there and its depth.
+    """
+    pose, index, femoral, outward, depth = found
+    jacobian = placed.jacobian(points[index], pose)
     if field.turn is not None:
         jacobian = jacobian @ field.turn.T
     pressure, slope = law.pressure(depth)
     return ContactPlaces(
         pose=pose,
         index=index,
-        femoral=femoral[inside],
+        femoral=femoral,
         outward=outward,
         depth=depth,
         jacobian=jacobian,
         deepening=-np.einsum("kai,ki->ka", jacobian, outward),
-        force=contact.areas[index] * pressure,
-        stiffness=contact.areas[index] * slope,
+        force=springs[index] * pressure,
+        stiffness=springs[index] * slope,
     )
 
 
@@ -181,6 +219,21 @@ def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
     spline = _Spline(field, places)
     gradient = [spline.derivative(*order) for order in np.eye(3, dtype=int).tolist()]
     return spline.derivative(0, 0, 0), np.stack(gradient, axis=1)
+
+
+def gaps_to(field: DistanceField, places: Array) -> Array:
+    """Signed distance [mm] of places (n, 3) to the femur, ``(n,)``; infinite outside the field."""
+    inside = _is_in_field(field, places)
+    gaps = np.full(len(places), np.inf)
+    gaps[inside] = _Spline(field, places[inside]).derivative(0, 0, 0)
+    return gaps
+
+
+def _is_in_field(field: DistanceField, places: Array) -> BoolArray:
+    """Which of places (..., 3) have the spline's support around them, ``(...)``."""
+    cell = np.floor((places - field.origin) / field.spacing)
+    last = np.array(field.coefficients.shape) - 3.0
+    return np.asarray(((cell >= 1.0) & (cell <= last)).all(axis=-1))
 
 
 def distance_bending(field: DistanceField, places: Array) -> Array:

@@ -130,7 +130,12 @@ class DistanceField:
 
 
 def build_field(
-    distance: Callable[[Array], Array], lower: Array, upper: Array, *, spacing: float = SPACING
+    distance: Callable[[Array], Array],
+    lower: Array,
+    upper: Array,
+    *,
+    spacing: float = SPACING,
+    padding: int = PADDING,
 ) -> DistanceField:
     """The distance field of a surface that lies between `lower` and `upper` [mm].
 
@@ -138,12 +143,14 @@ def build_field(
     ----------
     distance
         Gives the signed distance [mm] of points, shape ``(n, 3)``, negative inside.
+    padding
+        How many cells there are around the surface; the outer three hold nothing.
     """
     # Loaded late: most fields are read from the cache.
     from scipy.ndimage import spline_filter
 
-    origin = np.asarray(lower, float) - PADDING * spacing
-    shape = np.ceil((np.asarray(upper) - origin) / spacing).astype(int) + PADDING + 1
+    origin = np.asarray(lower, float) - padding * spacing
+    shape = np.ceil((np.asarray(upper) - origin) / spacing).astype(int) + padding + 1
     axes = [origin[i] + spacing * np.arange(shape[i]) for i in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     parts = [nodes[first : first + AT_ONCE] for first in range(0, len(nodes), AT_ONCE)]

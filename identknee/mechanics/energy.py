@@ -22,7 +22,8 @@ from identknee.mechanics.contact_elements import (
     turn_expansion,
 )
 from identknee.mechanics.elements import line_force, line_shape, sum_ligaments, write_sums
-from identknee.mechanics.memory import N_EVALUATIONS, N_EXPANDED, N_TOUCHING, ROTATION_SCALE
+from identknee.mechanics.memory import N_EVALUATIONS, N_EXPANDED, N_PUSHING, ROTATION_SCALE
+from identknee.mechanics.meniscus_elements import expand_menisci, sum_menisci
 from identknee.mechanics.obstacles import wrapped_element
 
 
@@ -235,8 +236,9 @@ def place_joint(flexion, q, grid, placed):
 def sum_up(load, law, ligaments, placed, expansion, at):
     """Energy of the pose placed last, from the expansion; derivatives are written to `at`."""
     total, energy = sum_contact(law, placed, expansion)
+    total, pressed = sum_menisci(total, placed, expansion)
     total, pulled = sum_ligaments(total, ligaments, placed)
-    energy += pulled
+    energy += pressed + pulled
     write_sums(total, placed.sums)
     generalised(placed.sums, placed.axes, at.gradient, at.hessian, at.gradient_by_flexion)
     for i in range(5):
@@ -260,7 +262,8 @@ def evaluate(flexion, load, contact, field, ligaments, work, at):
     if not list_is_valid(contact.radius, grid.spacing, placed):
         list_candidates(contact, field, work)
     expand_contact(contact.law, field, work)
-    n = placed.counts[N_TOUCHING]
+    expand_menisci(contact.menisci, work)
+    n = placed.counts[N_PUSHING]
     place_expansion(n, placed, work.expansion)
     if grid.is_apart:
         turn_expansion(n, grid.turn, work.expansion)

@@ -28,6 +28,7 @@ from identknee.mechanics.memory import (
     read_only,
     record,
 )
+from identknee.mechanics.menisci import NO_MENISCI, Menisci
 from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
 from identknee.runs.declare import array, declared, entry
 
@@ -195,6 +196,7 @@ def _forget(evaluation: EvaluationMemory) -> None:
     placed.hold = 0.0
 
 
+_meniscus_arrays = lru_cache(maxsize=8)(Menisci.arrays)
 TRANSITION_STRAIN = 0.03
 # What is kept of a line, and how many numbers each is, in the order of `LineLigaments.table`.
 _WIDTHS = {
@@ -203,6 +205,8 @@ _WIDTHS = {
     **{"obstacle_radius": 1, "obstacle_is_tibial": 1},
 }
 LINE_COLUMNS = sum(_WIDTHS.values())
+# Sensitivities to menisci (medial and lateral stiffness, height) and to the contact law.
+N_OF_MENISCI, N_OF_LAW, N_SIDES = 3, 2, 2
 
 
 @declared
@@ -216,6 +220,22 @@ class ContactPoints:
         "The contact law, with sensitivities to it; the paper's, without them, where None",
         default=None,
     )
+    menisci: Menisci | None = entry(
+        "What presses beside contact, with sensitivities to it and to the law; None without",
+        default=None,
+    )
+
+    @property
+    def n_columns(self) -> int:
+        """How many sensitivities there are beside those to the lines."""
+        if self.menisci is not None:
+            return N_OF_MENISCI + N_OF_LAW
+        return 0 if self.law is None else N_OF_LAW
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are, with those of the menisci."""
+        return len(self.points) + (0 if self.menisci is None else len(self.menisci.points))
 
     @property
     def n_compartments(self) -> int:
@@ -225,12 +245,14 @@ class ContactPoints:
     def arrays(self) -> ContactArrays:
         """The points as the kernel takes them."""
         law = self.law or ContactLaw()
+        menisci = NO_MENISCI if self.menisci is None else self.menisci
         arrays = ContactArrays(
             points=np.ascontiguousarray(self.points.T),
             radius=float(np.linalg.norm(self.points, axis=1).max()),
             stiffness=law.modulus * self.areas,
             compartment=self.compartment,
             law=(float(law.exponent), float(law.rounding)),
+            menisci=_meniscus_arrays(menisci),
         )
         return read_only(arrays)
 
@@ -350,13 +372,14 @@ def solve(
     found = Equilibria(
         poses=np.zeros((n, 5)),
         hessians=np.zeros((n, 5, 5)),
-        sensitivities=np.zeros((n, 5, 2 * m + 2 * (contact.law is not None))),
+        sensitivities=np.zeros((n, 5, 2 * m + contact.n_columns)),
         gradient_by_flexion=np.zeros((n, 5)),
         codes=np.full(n, NO_EQUILIBRIUM),
         residuals=np.zeros(n),
         reached=np.zeros(n),
         contact_sums=np.zeros((n, 39)),
         centres=np.zeros((n, contact.n_compartments, 7)),
+        menisci=np.zeros((n, N_SIDES, 7)),
         solves=np.zeros(n, np.int64),
     )
     # In one memory order: the compiler makes another version of its code for another.
@@ -369,7 +392,7 @@ def solve(
         _field_arrays(field),
         ligaments,
         derivatives,
-        kept_workspace(len(contact.points), found.sensitivities.shape[2]),
+        kept_workspace(contact.n_points, found.sensitivities.shape[2]),
         found,
     )
     return found

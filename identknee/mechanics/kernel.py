@@ -8,6 +8,7 @@ from identknee.mechanics.compiled import compiled, compiled_once
 from identknee.mechanics.contact_elements import (
     contact_centres,
     contact_columns,
+    force_centres,
     sum_contact,
     write_contact_forces,
 )
@@ -32,9 +33,16 @@ from identknee.mechanics.memory import (
     FOLD,
     HOLDS,
     MOST_HALVINGS,
+    N_PUSHING,
+    N_TOUCHING,
     NO_EQUILIBRIUM,
     UNCONSTRAINED,
     Segment,
+)
+from identknee.mechanics.meniscus_elements import (
+    meniscus_columns,
+    sum_menisci,
+    write_meniscus_forces,
 )
 
 
@@ -414,18 +422,23 @@ def release_tangent(state, place, placed, solver):
 
 @compiled
 def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_sums):
-    """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or (5, 2m + 2) with contact.
+    """Write dq / dp = -H^-1 d gradient / dp into S (5, 2m), or more columns with contact.
 
-    The parameters are stiffness and reference strain of m ligaments, then the logarithm of the
+    The parameters are stiffness and reference strain of m ligaments, then those of the menisci as
+    `meniscus_columns` has them, where there are 3 columns more, and last the logarithm of the
     contact modulus and the exponent of the contact law. With contact, that of the pushes last
-    written, the sums over its elements are written to `contact_sums`.
+    written, the sums over its elements and those of menisci are written to `contact_sums`.
     """
     placed, solver, m = work.evaluation.placed, work.solver, len(ligaments)
     R, t, axes = placed.rotation, placed.translation, placed.axes
     L, right, step = solver.factor, solver.right, solver.step
     if S.shape[1] > 2 * m:
-        contact_columns(work.evaluation, columns, 2 * m)
-        total, _ = sum_contact(contact.law, placed, work.evaluation.expansion)
+        evaluation = work.evaluation
+        contact_columns(evaluation, columns, S.shape[1] - 2)
+        if S.shape[1] > 2 * m + 2:
+            meniscus_columns(contact.menisci, evaluation, columns, 2 * m)
+        total, _ = sum_contact(contact.law, placed, evaluation.expansion)
+        total, _ = sum_menisci(total, placed, evaluation.expansion)
         write_sums(total, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
@@ -488,6 +501,14 @@ def simulate_path(
         evaluate_if_moved(angle, here.pose, load, contact, field, ligaments, work)
         write_contact_forces(contact.law, work.evaluation)
         contact_centres(contact, work.evaluation, results.centres[n])
+        write_meniscus_forces(work.evaluation)
+        force_centres(
+            contact.menisci.side,
+            placed.counts[N_TOUCHING],
+            placed.counts[N_PUSHING],
+            work.evaluation,
+            results.menisci[n],
+        )
         if derivatives and (outcome == CONVERGED or placed.hold > 0.0):
             slopes, sums = results.sensitivities[n], results.contact_sums[n]
             sensitivities(

@@ -12,7 +12,7 @@ from identknee.runs.arrays import Array, BitArray, IndexArray, IntArray, ReachAr
 # How the search for an equilibrium ended.
 CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)
 # Places in the counters of an evaluation.
-N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED = range(5)
+N_LISTED, N_TOUCHING, N_EVALUATIONS, N_LISTINGS, N_EXPANDED, N_PUSHING = range(6)
 
 # One radian of rotation weighs as much as so many millimetres wherever the two are compared.
 ROTATION_SCALE = 40.0
@@ -43,6 +43,35 @@ def read_only(group: Group) -> Group:
     return type(group)(*views)
 
 
+class MeniscusArrays(NamedTuple):
+    """The points of the menisci, in tibial axes; none where a knee has none.
+
+    Attributes
+    ----------
+    points
+        [mm], shape ``(3, m)``.
+    areas
+        Tributary areas [mm2], shape ``(m,)``.
+    heights
+        How far from the femur each begins to press [mm], shape ``(m,)``.
+    side
+        0 for the medial meniscus, 1 for the lateral one, shape ``(m,)``.
+    stiffness
+        Of the medial and of the lateral one [N/mm3], shape ``(2,)``.
+    coefficients, grid
+        A distance field that reaches farther than that of contact, as in `FieldArrays`; its frame
+        is that of contact's.
+    """
+
+    points: Array
+    areas: Array
+    heights: Array
+    side: IntArray
+    stiffness: Array
+    coefficients: Array
+    grid: Any
+
+
 class ContactArrays(NamedTuple):
     """The contact points, in tibial axes.
 
@@ -58,6 +87,8 @@ class ContactArrays(NamedTuple):
         Which tibial surface each belongs to, shape ``(n,)``.
     law
         Exponent and rounding [mm] of the contact law.
+    menisci
+        What presses beside contact.
     """
 
     points: Array
@@ -65,6 +96,7 @@ class ContactArrays(NamedTuple):
     stiffness: Array
     compartment: IntArray
     law: tuple[float, float]
+    menisci: MeniscusArrays
 
 
 def record(kind: np.dtype[Any]) -> Any:
@@ -228,8 +260,8 @@ PATH = np.dtype(
 # the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it; the sums
 # over the elements, as `identknee.mechanics.elements.write_sums` writes them; length, gradient (3)
 # and Hessian (6) of a line; how many points are listed (-1: no list yet) and may touch, how many
-# evaluations, listings and evaluations of the expansion were made, at the places `N_LISTED` to
-# `N_EXPANDED`.
+# evaluations, listings and evaluations of the expansion were made, and how many points of contact
+# and then of menisci may push, at the places `N_LISTED` to `N_PUSHING`.
 PLACED = np.dtype(
     [
         ("pose", float, 5),
@@ -244,30 +276,31 @@ PLACED = np.dtype(
         ("axes", float, (9, 3)),
         ("sums", float, 39),
         ("course", COURSE),
-        ("counts", np.int64, 5),
+        ("counts", np.int64, 6),
     ]
 )
 
 
 class EvaluationMemory(NamedTuple):
-    """What evaluating one pose needs; n is the number of points, and one more.
+    """What evaluating one pose needs; n is the number of points, with menisci's, and one more.
 
     Attributes
     ----------
     placed
         The pose evaluated last and what belongs to it, a record of `PLACED`.
     expansion
-        Of each point that may touch: its place in tibial axes (3), that in the field where its
-        distance was looked up (3), its stiffness, and there the distance [mm] with its gradient (3)
-        and Hessian (xx yy zz xy xz yz), shape ``(17, n)``.
+        Of each point that may push, those of menisci last: its place in tibial axes (3), that in
+        the field where its distance was looked up (3), its stiffness, and there the distance [mm],
+        less the height of a meniscus, with its gradient (3) and Hessian (xx yy zz xy xz yz), shape
+        ``(17, n)``.
     listed
         Points near enough to touch soon (3), and their stiffness, shape ``(4, n)``.
     cells, eighths
         First spline coefficient of each point's cell, and the eighth of the cell, shape ``(n,)``.
     touching
-        Contact point of each contact element, shape ``(n,)``.
+        Contact point of each contact element, then meniscus point of each of those, ``(n,)``.
     pushes
-        Of each contact element at one pose: its place relative to the tibial origin (3), the
+        Of each of these elements at one pose: its place relative to the tibial origin (3), the
         gradient of its energy by that (3) [N], and the depth that the law feels [mm], ``(7, n)``.
     which
         Contact point of each listed one, shape ``(n,)``.
@@ -313,9 +346,9 @@ class Equilibria(NamedTuple):
     hessians
         Second derivatives of the energy there, ``(n, 5, 5)``.
     sensitivities
-        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; under a stated contact law
-        also d pose / d (logarithm of the modulus, exponent), ``(n, 5, 2m + 2)``. Zero where not
-        converged.
+        d pose / d (stiffness [N], reference strain), ``(n, 5, 2m)``; with menisci then d pose / d
+        (medial, lateral stiffness [N/mm3], height [mm]); under a stated contact law or with menisci
+        last d pose / d (logarithm of the modulus, exponent). Zero where not converged.
     gradient_by_flexion
         d gradient of the energy / d flexion, shape ``(n, 5)``.
     codes
@@ -326,10 +359,13 @@ class Equilibria(NamedTuple):
         Share of the step from the parent that was reached, or how far the spring that holds the
         knee has let go there, ``(n,)``.
     contact_sums
-        Sums over the contact elements, as `identknee.mechanics.elements.write_sums` writes them,
-        ``(n, 39)``; zero without sensitivities to the contact law.
+        Sums over the elements of contact and menisci, as
+        `identknee.mechanics.elements.write_sums` writes them, ``(n, 39)``; zero without
+        sensitivities to the contact law.
     centres
         Contact force [N], its centre in tibial and femoral axes [mm], ``(n, compartments, 7)``.
+    menisci
+        The same of the menisci, ``(n, 2, 7)``; zero where there are none.
     solves
         Equilibrium searches made for each node, ``(n,)``.
     """
@@ -343,4 +379,5 @@ class Equilibria(NamedTuple):
     reached: Array
     contact_sums: Array
     centres: Array
+    menisci: Array
     solves: IntArray

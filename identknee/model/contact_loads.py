@@ -1,19 +1,26 @@
-"""Contact force of the medial and the lateral compartment and its centre, with derivatives."""
+"""Force of contact and menisci on either side and its centre, with derivatives."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from identknee.mechanics.contact_points import ContactPlaces, contact_places, distance_bending
+from identknee.mechanics.contact_points import (
+    ContactPlaces,
+    contact_places,
+    distance_bending,
+    meniscus_places,
+)
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints
+from identknee.mechanics.menisci import NO_MENISCI, UNIT_LAW
 from identknee.mechanics.pose import place
-from identknee.model.laxity_model import LaxityModel
+from identknee.model.laxity_model import LaxityModel, meniscus_geometry
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
+from identknee.subject.menisci import SIDES
 
 
 @declared
@@ -65,8 +72,12 @@ class CompartmentLoads:
 
     def force_under(self, law: ContactLaw) -> Array:
         """Force of each point under another contact law, as deep as it is [N], shape ``(k,)``."""
-        size = np.linalg.norm(self.touching.outward, axis=1)
-        return np.asarray(self.areas * law.pressure(self.touching.depth)[0] * size)
+        return np.asarray(self.areas * law.pressure(self.touching.depth)[0] * self.size)
+
+    @property
+    def size(self) -> Array:
+        """Of the slope of the distance, along which a point pushes: nearly 1, shape ``(k,)``."""
+        return np.asarray(np.linalg.norm(self.touching.outward, axis=1))
 
     @property
     def by_pose(self) -> Array:
@@ -98,17 +109,40 @@ def compartment_loads(
         Where the contact points are in the axes in which the centre is wanted [mm], ``(m, 3)``.
     """
     touching = contact_places(contact, field, flexion, poses)
+    owners = contact.compartment, contact.areas, places
+    return _loads(touching, field, len(poses), contact.n_compartments, owners)
+
+
+def meniscus_loads(
+    contact: ContactPoints, field: DistanceField, flexion: Array, poses: Array, places: Array
+) -> CompartmentLoads:
+    """The same of the medial and the lateral meniscus; `places` are those of their points."""
+    menisci = contact.menisci or NO_MENISCI
+    touching = meniscus_places(contact, field, flexion, poses)
+    owners = menisci.side, menisci.areas, places
+    return _loads(touching, menisci.field or field, len(poses), len(SIDES), owners)
+
+
+def _loads(
+    touching: ContactPlaces,
+    field: DistanceField,
+    n_poses: int,
+    n_surfaces: int,
+    of_points: tuple[IntArray, Array, Array],
+) -> CompartmentLoads:
+    """Loads of points that touch; of all points their surface, area and place are known."""
     outward, own = touching.outward, touching.index
     # A point pushes along the slope of the distance, whose size a spline keeps only nearly at 1.
     size = np.linalg.norm(outward, axis=1)
     bending = np.einsum("kij,kj->ki", distance_bending(field, touching.femoral), outward)
+    surface, areas, places = of_points
     return CompartmentLoads(
         touching=touching,
-        n_poses=len(poses),
-        n_surfaces=contact.n_compartments,
-        surface=contact.compartment[own],
+        n_poses=n_poses,
+        n_surfaces=n_surfaces,
+        surface=surface[own],
         places=places[own],
-        areas=contact.areas[own],
+        areas=areas[own],
         force=touching.force * size,
         by_motion=(touching.force / size)[:, None] * bending
         - (touching.stiffness * size)[:, None] * outward,
@@ -129,10 +163,25 @@ def contact_values(prediction: Prediction) -> Array:
     tibia's geometry: x anterior, y superior, z lateral. NaN in trials that did not converge, and
     for the centre where a compartment does not touch.
     """
-    values = np.array(prediction.centres[:, :, : len(KINDS)])
+    return _values(prediction, prediction.centres)
+
+
+def meniscus_values(prediction: Prediction) -> Array:
+    """The same of the medial and the lateral meniscus, ``(n, 2, 4)``; forces of 0 without any."""
+    return _values(prediction, prediction.menisci)
+
+
+def _values(prediction: Prediction, centres: Array) -> Array:
+    values = np.array(centres[:, :, : len(KINDS)])
     values[values[:, :, 0] == 0.0, 1:] = np.nan
     values[~prediction.is_converged] = np.nan
     return values
+
+
+# How much stronger the points press between two inputs, as deep as they are.
+Strengthening = Callable[[CompartmentLoads, MechanicsInputs, MechanicsInputs], Array]
+# Loads of surfaces, as `compartment_loads` makes them.
+Loads = Callable[[ContactPoints, DistanceField, Array, Array, Array], CompartmentLoads]
 
 
 def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequence[int]) -> Array:
@@ -146,6 +195,29 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
     ValueError
         If the prediction was made without derivatives.
     """
+    return _jacobian(model, prediction, trials, compartment_loads, _strengthening)
+
+
+def meniscus_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequence[int]) -> Array:
+    """Exact derivatives of `meniscus_values` by theta in some trials, shape ``(k, 2, 4, p)``.
+
+    Those of the place of a force are NaN where a meniscus does not press.
+
+    Raises
+    ------
+    ValueError
+        If the prediction was made without derivatives.
+    """
+    return _jacobian(model, prediction, trials, meniscus_loads, _stiffening)
+
+
+def _jacobian(
+    model: LaxityModel,
+    prediction: Prediction,
+    trials: Sequence[int],
+    loads_of: Loads,
+    strengthening: Strengthening,
+) -> Array:
     theta = prediction.theta
     jacobian = np.full((len(trials), len(COMPARTMENTS), len(KINDS), theta.size), np.nan)
     if model.parts:
@@ -154,7 +226,8 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
             rows = [i for i, x in enumerate(trials) if x in place]
             if rows:
                 own = [place[trials[i]] for i in rows]
-                of_part = contact_jacobian(part.model, part.prediction(prediction), own)
+                part_prediction = part.prediction(prediction)
+                of_part = _jacobian(part.model, part_prediction, own, loads_of, strengthening)
                 part.spread(of_part, jacobian, np.array(rows))
         return jacobian
     amplitudes = model.amplitudes(theta)
@@ -166,13 +239,17 @@ def contact_jacobian(model: LaxityModel, prediction: Prediction, trials: Sequenc
     used = asked[found]
     nodes, poses = model.paths.trial_node[used], prediction.poses[used]
     flexion = settings[-1].flexion[nodes]
-    loads = compartment_loads(contact, field, flexion, poses, model.joint.contact.points)
+    points = model.joint.contact.points
+    if loads_of is meniscus_loads:
+        has_menisci = contact.menisci is not None
+        points = meniscus_geometry(model.knee).points if has_menisci else NO_MENISCI.points
+    loads = loads_of(contact, field, flexion, poses, points)
     jacobian[found] = loads.by_pose @ prediction.pose_slopes[used][:, None]
     if pairs:
-        touching, points = loads.touching, model.joint.contact.points
+        touching = loads.touching
         moved = [_motion(low, high, nodes, poses) / step for _, step, low, high in pairs]
         motion = _moved(np.stack(moved, axis=-1), points[touching.index], touching.pose)
-        stronger = [_strengthening(loads, low, high) / step for _, step, low, high in pairs]
+        stronger = [strengthening(loads, low, high) / step for _, step, low, high in pairs]
         changes = loads.derivatives(motion, np.stack(stronger, axis=1))
         for i, (k, _, _, _) in enumerate(pairs):
             jacobian[found, :, :, model.n_ligament_parameters + k] += changes[..., i]
@@ -208,3 +285,13 @@ def _strengthening(found: CompartmentLoads, low: MechanicsInputs, high: Mechanic
     if low.law is high.law or low.law == high.law:
         return np.zeros(len(found.force))
     return found.force_under(high.law) - found.force_under(low.law)
+
+
+def _stiffening(found: CompartmentLoads, low: MechanicsInputs, high: MechanicsInputs) -> Array:
+    """How much the force of each point changes with the menisci, where it is."""
+    if low.menisci is None or high.menisci is None:
+        return np.zeros(len(found.force))
+    *stiffness, height = high.menisci - low.menisci
+    unit = found.force_under(UNIT_LAW)
+    by_height = found.touching.stiffness * found.size
+    return np.asarray(unit * np.array(stiffness)[found.surface] + by_height * height)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from math import ceil
 from typing import Any, Literal
 from zipfile import BadZipFile
 
@@ -22,9 +23,17 @@ from identknee.mechanics.contact_points import (
     RimDistance,
     contact_places,
     contact_points,
+    gaps_to,
+    meniscus_places,
     rim_distance,
 )
-from identknee.mechanics.distance_field import SPACING, ContactLaw, DistanceField, build_field
+from identknee.mechanics.distance_field import (
+    PADDING,
+    SPACING,
+    ContactLaw,
+    DistanceField,
+    build_field,
+)
 from identknee.mechanics.equilibria import (
     ContactPoints,
     Continuation,
@@ -35,8 +44,9 @@ from identknee.mechanics.equilibria import (
 )
 from identknee.mechanics.ligament_tensions import line_lengths, wrapped_lines
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
+from identknee.mechanics.menisci import Menisci
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
-from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, start_pose
+from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, place, start_pose
 from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, scope_of
 from identknee.model.experiments import effects_in_experiments, effects_of_part, kinds_of_trials
 from identknee.model.mechanics_inputs import (
@@ -60,11 +70,18 @@ from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction, solve_beyond_folds
 from identknee.runs.arrays import Array, IntArray, frozen, short_repr
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.errors import InputError
+from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Frame, Knee
+from identknee.subject.menisci import (
+    FIELD_REACH,
+    HIGHEST,
+    SIDES,
+    on_periphery,
+    width_of_menisci,
+)
 from identknee.subject.surface import Surface
 
 FIELD_FORMAT = b"field 6"
@@ -153,10 +170,70 @@ def contact_sheets(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
     return femur, tibia
 
 
-def _field(knee: Knee, femoral: Array) -> DistanceField:
+# Of the field that menisci need: its spacing is twice as wide, since only gaps are looked up there.
+WIDE_SPACING, WIDE_PADDING = 2.0 * SPACING, ceil(FIELD_REACH / (2.0 * SPACING)) + 3
+# Points of both menisci together; they are soft, so that fewer do than for contact.
+MENISCUS_POINTS = 200
+DECIMALS = 6  # mm
+
+
+@lru_cache(maxsize=4)
+def meniscus_geometry(knee: Knee, number: int | None = MENISCUS_POINTS) -> Menisci:
+    """The menisci of a knee as wedges that fill the gaps in the scanned pose, without stiffness.
+
+    Parameters
+    ----------
+    knee
+        The subject.
+    number
+        About how many points there are; None for every vertex below the menisci.
+
+    Raises
+    ------
+    ValueError
+        If a plateau has no rim, or no gap near it.
+    """
+    joint = contact_geometry(knee)
+    femoral = knee.femur_frame.to_local(knee.femur.vertices)
+    field = _field(knee, femoral, spacing=WIDE_SPACING, padding=WIDE_PADDING)
+    scanned = place(joint.start_flexion, joint.start)
+    below = []
+    sheets = zip(SIDES, contact_sheets(knee)[1], joint.tibial_rims, (1.0, -1.0), strict=True)
+    for side, (vertices, faces), rim, inward in sheets:
+        # So that a knee that lies elsewhere in its scanner has the same patches.
+        vertices = np.round(vertices, DECIMALS)
+        centroids = vertices[faces].mean(axis=1)
+        gaps = gaps_to(field, scanned.to_femur(centroids))
+        own = on_periphery(centroids, rim, inward, width_of_menisci(knee))
+        own &= (gaps > 0.0) & (gaps <= HIGHEST)
+        if not own.any():
+            raise ValueRefused(
+                f"the {side} plateau of {knee.name} has no rim below a gap of at most "
+                f"{HIGHEST:g} mm, where a meniscus would lie",
+                "leave out the menisci",
+            )
+        used, renamed = np.unique(faces[own], return_inverse=True)
+        below.append((vertices[used], renamed.reshape(-1, 3)))
+    found = contact_points(below, number)
+    heights = gaps_to(field, scanned.to_femur(found.points))
+    return Menisci(
+        points=found.points,
+        areas=found.areas,
+        heights=heights,
+        side=found.compartment,
+        stiffness=np.zeros(len(SIDES)),
+        field=field,
+    )
+
+
+def _field(
+    knee: Knee, femoral: Array, *, spacing: float = SPACING, padding: int = PADDING
+) -> DistanceField:
     """The distance field of the femur, from the cache or built and put there."""
     distance: Callable[[Array], Array] | None = None
-    digest = hashlib.sha256(FIELD_FORMAT + repr(SPACING).encode())
+    digest = hashlib.sha256(FIELD_FORMAT + repr(spacing).encode())
+    if padding != PADDING:
+        digest.update(repr(padding).encode())
     digest.update(femoral.tobytes())
     if knee.femur_distance is not None:
         closed_form = knee.femur_distance
@@ -178,7 +255,8 @@ def _field(knee: Knee, femoral: Array) -> DistanceField:
     if distance is None:
         with stage("sorting the femoral surface"):
             distance = mesh_distance(femoral, knee.femur.faces)
-    field = build_field(distance, femoral.min(axis=0), femoral.max(axis=0))
+    lower, upper = femoral.min(axis=0), femoral.max(axis=0)
+    field = build_field(distance, lower, upper, spacing=spacing, padding=padding)
     stored = io.BytesIO()
     np.savez(stored, **{x: getattr(field, x) for x in arrays})
     # A cache that cannot be written is no failure.
@@ -221,6 +299,7 @@ OF_TRIALS = (
     "reached",
     "released",
     "centres",
+    "menisci",
     "hessians",
 )
 JACOBIANS = ("jacobian", "held_jacobian", "pose_jacobian")
@@ -475,7 +554,10 @@ class LaxityModel:
         """The surfaces of tibia and femur, for poses between the measured frames of the inputs."""
         contact, field = self.joint.contact, self.joint.field
         if self.effects:
-            contact = replace(contact, law=setting.law)
+            menisci = None
+            if setting.menisci is not None:
+                menisci = meniscus_geometry(self.knee).at(setting.menisci)
+            contact = replace(contact, law=setting.law, menisci=menisci)
         frames = setting.frames
         return (
             (contact, field) if frames is None else (frames.contact(contact), frames.field(field))
@@ -546,9 +628,9 @@ class LaxityModel:
     ) -> Prediction:
         nodes, setting = self.paths.trial_node, settings[-1]
         codes = np.array(found.codes[nodes])
-        centres = found.centres[nodes]
+        centres, menisci = found.centres[nodes], found.menisci[nodes]
         if setting.frames is not None:
-            centres = setting.frames.centres(centres)
+            centres, menisci = setting.frames.centres(centres), setting.frames.centres(menisci)
         poses, reached = found.poses[nodes], found.reached[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)
@@ -592,6 +674,7 @@ class LaxityModel:
             reached=np.where(converged, 1.0, np.nan) if self.paths.is_released else reached,
             released=reached if self.paths.is_released else np.zeros(reached.shape),
             centres=centres,
+            menisci=menisci,
             rims=(self.joint.femoral_rim, self.joint.tibial_rims),
             node_poses=found.poses,
         )
@@ -706,6 +789,7 @@ def predict_on_meshes(
         reached=np.ones(n),
         released=np.zeros(n),
         centres=np.zeros((n, 0, 7)),
+        menisci=np.zeros((n, len(SIDES), 7)),
         rims=None,
         node_poses=found.poses,
     )
@@ -731,6 +815,13 @@ def contact_of_trials(model: LaxityModel, prediction: Prediction) -> ContactPlac
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
     return contact_places(*model.surfaces(setting), flexion, prediction.poses)
+
+
+def menisci_of_trials(model: LaxityModel, prediction: Prediction) -> ContactPlaces:
+    """What the menisci do in all trials of a model of one part, in their predicted poses."""
+    setting = model.setting(prediction.theta)
+    flexion = setting.flexion[model.paths.trial_node]
+    return meniscus_places(*model.surfaces(setting), flexion, prediction.poses)
 
 
 def observed_slopes(model: LaxityModel, prediction: Prediction) -> Array:

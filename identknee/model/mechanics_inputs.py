@@ -41,8 +41,11 @@ class MeasuredFrames:
         )
 
     def contact(self, contact: ContactPoints) -> ContactPoints:
-        """The contact points, in the measured frame of the tibia."""
-        return replace(contact, points=self.to_measured(contact.points, 1))
+        """The contact points and the menisci, in the measured frame of the tibia."""
+        menisci = contact.menisci
+        if menisci is not None:
+            menisci = replace(menisci, points=self.to_measured(menisci.points, 1))
+        return replace(contact, points=self.to_measured(contact.points, 1), menisci=menisci)
 
     def field(self, field: DistanceField) -> DistanceField:
         """The femur's distance, for poses of its measured frame."""
@@ -158,6 +161,11 @@ class MechanicsInputs:
         "``(m,)``; -1 for lines added to that as a whole"
     )
     law: ContactLaw = entry("The contact law")
+    menisci: Array | None = entry(
+        "Stiffness of the medial and of the lateral meniscus [N/mm3], and how much higher they are "
+        "than the gaps in the scanned pose [mm], shape ``(3,)``; None without menisci",
+        default=None,
+    )
     start_flexion: float = entry("Flexion of the scanned pose [rad]")
     start: Array = entry("The scanned pose: varus, internal [rad], x, y, z [mm], shape ``(5,)``")
     measured: Array | None = entry(

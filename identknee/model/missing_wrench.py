@@ -12,6 +12,7 @@ from identknee.model.held_trials import HeldTrials
 from identknee.model.laxity_model import (
     LaxityModel,
     contact_of_trials,
+    menisci_of_trials,
     observed_slopes,
     trial_contacts,
 )
@@ -151,8 +152,11 @@ def unbalanced_load(model: LaxityModel, prediction: Prediction) -> Array:
         setting.stiffness,
         setting.reference_strain,
     )
-    contact = contact_of_trials(model, prediction).wrenches(len(prediction.codes))
-    return np.asarray(ligaments.gradient + contact - setting.loads[nodes])
+    pressed = sum(
+        x(model, prediction).wrenches(len(prediction.codes))
+        for x in (contact_of_trials, menisci_of_trials)
+    )
+    return np.asarray(ligaments.gradient + pressed - setting.loads[nodes])
 
 
 @declared

@@ -73,6 +73,9 @@ class Prediction:
         "Contact force of every trial and compartment [N], its centre in tibial and in femoral "
         "axes [mm], shape ``(n, compartments, 7)``"
     )
+    menisci: Array = entry(
+        "The same of the medial and the lateral meniscus, shape ``(n, 2, 7)``; zero without menisci"
+    )
     rims: tuple[RimDistance, tuple[RimDistance, ...]] | None = entry(
         "How far places are from the rims of the femur and of each tibial surface; None for mesh "
         "contact"

@@ -1,4 +1,4 @@
-"""Scalar predictions by name, with derivatives: tensions, strains, contact and coordinates."""
+"""Scalar predictions by name, with derivatives: tensions, strains, contact, coordinates."""
 
 from collections.abc import Sequence
 from dataclasses import field
@@ -8,7 +8,14 @@ import numpy as np
 
 from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero, zero_trials
 from identknee.laxity.table import COORDINATES
-from identknee.model.contact_loads import COMPARTMENTS, KINDS, contact_jacobian, contact_values
+from identknee.model.contact_loads import (
+    COMPARTMENTS,
+    KINDS,
+    contact_jacobian,
+    contact_values,
+    meniscus_jacobian,
+    meniscus_values,
+)
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import (
     StructureLoads,
@@ -21,14 +28,15 @@ from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.subject.menisci import MENISCI
 
-TENSION, STRAIN, CONTACT = "tension_N", "strain_pct", "contact"
+TENSION, STRAIN, CONTACT, MENISCUS = "tension_N", "strain_pct", "contact", "meniscus"
 AT = "@"
 FORMS = (
     f"NAME.{TENSION}{AT}TRIAL or NAME.{STRAIN}{AT}TRIAL of a ligament, a group or a structure that "
     f"an effect adds; {CONTACT}.medial_N{AT}TRIAL or {CONTACT}.lateral_N{AT}TRIAL; the place of "
-    f"that force, {CONTACT}.medial_x_mm{AT}TRIAL and so on with lateral, y and z; or a coordinate "
-    f"such as varus_deg{AT}TRIAL"
+    f"that force, {CONTACT}.medial_x_mm{AT}TRIAL and so on with lateral, y and z; the same of "
+    f"{MENISCUS} where the model has menisci; or a coordinate such as varus_deg{AT}TRIAL"
 )
 # Of one model at one theta, many quantities are asked for.
 _KEPT = 64
@@ -49,6 +57,9 @@ class PredictedQuantity:
     ``contact.medial_x_mm``     Where that force acts, the mean place of the elements weighted by
                                 force, in the tibia's frame: x anterior, y superior, z lateral [mm].
                                 Also ``_y_mm`` and ``_z_mm``, and ``contact.lateral_...``.
+    ``meniscus.medial_N``       Force of the medial meniscus, which is no part of the contact force;
+                                also ``_x_mm``, ``_y_mm`` and ``_z_mm``, and
+                                ``meniscus.lateral_...``.
     ``varus_deg`` and so on     A coordinate of the laxity table.
     =========================== ====================================================================
 
@@ -85,8 +96,9 @@ class PredictedQuantity:
         That is in a trial without equilibrium, and for the place of contact where nothing touches.
         """
         kind, i, j = self._place
-        if kind == CONTACT:
-            return float(contact_values(prediction)[self._trial, i, j])
+        if kind in (CONTACT, MENISCUS):
+            of_sides = contact_values if kind == CONTACT else meniscus_values
+            return float(of_sides(prediction)[self._trial, i, j])
         if kind in (TENSION, STRAIN):
             name = self.what.rpartition(".")[0]
             values = structure_values(self.model, prediction, name)
@@ -109,6 +121,9 @@ class PredictedQuantity:
         if kind == CONTACT:
             value = contact_values(_prediction(self.model, at))[self._trial, i, j]
             return float(value), _contact_jacobian(self.model, at, self._trial)[i, j]
+        if kind == MENISCUS:
+            value = meniscus_values(_prediction(self.model, at))[self._trial, i, j]
+            return float(value), _meniscus_jacobian(self.model, at, self._trial)[i, j]
         if kind == COORDINATE:
             found = _prediction(self.model, at)
             return float(found.coordinates[self._trial, i]), found.slopes[self._trial, i]
@@ -144,6 +159,12 @@ def _place(model: LaxityModel, what: str) -> tuple[str, int, int]:
     side, _, kind = kind.partition("_")
     if owner == CONTACT and side in COMPARTMENTS and kind in KINDS:
         return CONTACT, COMPARTMENTS.index(side), KINDS.index(kind)
+    if owner == MENISCUS and side in COMPARTMENTS and kind in KINDS:
+        if not any(x.name == MENISCI for x in model.effects):
+            raise ValueError(
+                f"{what!r} needs menisci, and the model has none; add [menisci] to subject.toml"
+            )
+        return MENISCUS, COMPARTMENTS.index(side), KINDS.index(kind)
     if dot:
         raise ValueError(f"{what!r} is not the name of a predicted quantity; write {FORMS}")
     if what not in COORDINATES:
@@ -196,6 +217,11 @@ def _structure_loads(model: LaxityModel, theta: bytes) -> StructureLoads:
 @lru_cache(maxsize=_KEPT)
 def _contact_jacobian(model: LaxityModel, theta: bytes, trial: int) -> Array:
     return np.asarray(contact_jacobian(model, _prediction(model, theta), [trial])[0])
+
+
+@lru_cache(maxsize=_KEPT)
+def _meniscus_jacobian(model: LaxityModel, theta: bytes, trial: int) -> Array:
+    return np.asarray(meniscus_jacobian(model, _prediction(model, theta), [trial])[0])
 
 
 @declared

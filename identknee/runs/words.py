@@ -28,18 +28,20 @@ def parameter_words(name: str) -> str:
 
 
 def contact_words(quantity: str) -> str:
-    """A quantity of the contact in words; empty for any other.
+    """A quantity of the contact or of a meniscus in words; empty for any other.
 
     Examples
     --------
     >>> contact_words("contact.medial_N"), contact_words("contact.lateral_x_mm")
     ('medial contact force', 'lateral contact centre x')
+    >>> contact_words("meniscus.medial_N")
+    'medial meniscus force'
     """
     owner, _, kind = quantity.partition(".")
-    if owner != "contact":
+    if owner not in ("contact", "meniscus") or "_per_" in kind:
         return ""
     side, *axis = kind.split("_")[:-1]
-    return f"{side} contact centre {axis[0]}" if axis else f"{side} contact force"
+    return f"{side} {owner} centre {axis[0]}" if axis else f"{side} {owner} force"
 
 
 def owner_words(name: str) -> str:

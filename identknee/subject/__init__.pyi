@@ -3,6 +3,7 @@ from .capsule import with_capsule as with_capsule
 from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
 from .knee import Ligament as Ligament
+from .menisci import with_menisci as with_menisci
 from .obstacle import Obstacle as Obstacle
 from .opensim_export import write_opensim as write_opensim
 from .plausibility import Limit as Limit

@@ -43,6 +43,7 @@ from identknee.subject.knee import (
     Uncertainty,
     frames_from_landmarks,
 )
+from identknee.subject.menisci import STIFFNESS, with_menisci
 from identknee.subject.obstacle import Obstacle
 from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable
 from identknee.subject.reference import reference_knee
@@ -201,6 +202,14 @@ class GroupTable(Part):
     ]
 
 
+class MenisciTable(Part):
+    """``[menisci]``, any of it."""
+
+    medial_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
+    lateral_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
+    offset_mm: Number = 0.0
+
+
 class PoseTable(Part):
     """A ``[[poses]]``: where the knee is known to be."""
 
@@ -297,6 +306,9 @@ class SubjectTables(Part):
             'Write capsule = ["posteromedial", "posterolateral", "anterolateral"], or some.',
         ),
     ] = Field(default_factory=list)
+    menisci: Annotated[
+        MenisciTable | None, custom_message(_TABLE, "Write it below a line [menisci].")
+    ] = None
     poses: Annotated[list[Annotated[PoseTable, _POSES]], _POSES] = Field(default_factory=list)
     plausibility: Annotated[list[Annotated[LimitTable, LIMITS]], LIMITS] = Field(
         default_factory=list
@@ -640,6 +652,9 @@ def _knee(
     if tables.capsule:
         extended = _made(file, "key capsule", with_capsule, knee, tables.capsule)
         knee = replace(extended, fitted=fitted)
+    if tables.menisci is not None:
+        stated = tables.menisci.model_dump()
+        knee = replace(_made(file, "[menisci]", with_menisci, knee, **stated), fitted=fitted)
     for finding in fatal_geometry_findings(knee):
         raise InputError(file, finding.where, finding.sentence, finding.remedy)
     return knee

@@ -50,7 +50,7 @@ class Evaluator:
 
     def __init__(self, joint: ContactGeometry) -> None:
         self._contact, self._field = joint.contact.arrays(), joint.field.arrays()
-        self.work = workspace(len(joint.contact.points)).evaluation
+        self.work = workspace(joint.contact.n_points).evaluation
 
     def __call__(
         self, flexion: float, pose: Array, ligaments: Any, load: Array = NO_LOAD

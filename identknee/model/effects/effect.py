@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeGuard, cast, runtime_checkable
 import numpy as np
 
 from identknee.mechanics.contact_points import contact_motion_columns
-from identknee.mechanics.equilibria import LINE_COLUMNS, LineLigaments
+from identknee.mechanics.equilibria import LINE_COLUMNS, N_OF_LAW, N_OF_MENISCI, LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
 from identknee.mechanics.memory import Equilibria
 from identknee.model.mechanics_inputs import (
@@ -340,6 +340,7 @@ def _read_held(
 
 # The first ending that fits counts.
 UNITS = {
+    "N_per_mm3": "N/mm3",
     "N_per_mm": "N/mm",
     "N_per_Nm": "N/N·m",
     "deg_per_Nm": "deg/N·m",
@@ -575,7 +576,7 @@ class _Replicas:
 
     All in one setting: first the one in which none is moved, as copy -1, then the lines and the
     nodes that an amplitude changes. The contact law is one; effects add to its logarithm and to its
-    exponent, whatever they are.
+    exponent, whatever they are. So are the menisci, to whose values they add.
     """
 
     def __init__(self, n_values: int) -> None:
@@ -583,6 +584,7 @@ class _Replicas:
         self._all: MechanicsInputs | None = None
         self._of_nodes: list[int] = []
         self._laws = np.zeros((2, n_values))
+        self._menisci = np.zeros((N_OF_MENISCI, n_values))
 
     def change(self, effect: MechanicalEffect, values: Array, after: MechanicsInputs) -> None:
         """Apply to all replicas an effect that turned the inputs into `after`."""
@@ -618,6 +620,8 @@ class _Replicas:
             for k, (low, high) in enumerate(zip(made[::2], made[1::2], strict=True), start=first):
                 self._laws[0, k] = np.log(high.law.modulus / low.law.modulus)
                 self._laws[1, k] = high.law.exponent - low.law.exponent
+                if high.menisci is not None and low.menisci is not None:
+                    self._menisci[:, k] = high.menisci - low.menisci
         others = made[0]
         has_lines = any(
             getattr(others, x) is not getattr(before, x)
@@ -637,6 +641,9 @@ class _Replicas:
         """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
         # The sensitivities are -H^-1 times the columns that are wanted here.
         laws = found.sensitivities[nodes][:, :, -2:] @ self._laws
+        if self._menisci.any():
+            own = slice(-N_OF_MENISCI - N_OF_LAW, -N_OF_LAW)
+            laws += found.sensitivities[nodes][:, :, own] @ self._menisci
         changes = np.asarray(-found.hessians[nodes] @ laws)
         if self._all is None or not self._of_nodes:
             return changes
@@ -859,8 +866,9 @@ class EffectStack:
     ) -> Iterator[tuple[int, float, MechanicsInputs, MechanicsInputs]]:
         """Inputs with an amplitude a little smaller and larger, where that changes the contact.
 
-        That is where it changes frames, flexion or the contact law. Each comes with the place of
-        the amplitude and the difference. Effects that leave all three as they are do not act.
+        That is where it changes frames, flexion, the contact law or the menisci. Each comes with
+        the place of the amplitude and the difference. Effects that leave all these as they are do
+        not act.
         """
         acting = [
             (effect, part, before)
@@ -870,6 +878,7 @@ class EffectStack:
             if after.frames is not before.frames
             or after.flexion is not before.flexion
             or after.law is not before.law
+            or after.menisci is not before.menisci
         ]
         for i, (effect, part, before) in enumerate(acting):
             each = central_difference_values(values[part], self._steps[part])

@@ -44,6 +44,7 @@ from identknee.model.effects.tissues import (
     bundles_of_each,
     contact_nuisance,
     mcl_wrapping,
+    meniscal_wedge,
     meniscus,
     toe_strain,
 )
@@ -54,6 +55,7 @@ from identknee.subject.anatomy import anatomy
 from identknee.subject.capsule import SHEETS
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import EffectChoice, Knee
+from identknee.subject.menisci import MENISCI
 
 # Sheets of a subject's own capsule that take the place of a structure.
 COVERED: Mapping[str, frozenset[str]] = MappingProxyType(
@@ -145,6 +147,7 @@ _BY_NAME: dict[str, Maker] = {
     BUNDLES: bundles,
     WRAPPING: mcl_wrapping,
     "meniscus": meniscus,
+    MENISCI: _make_on_any_subject(meniscal_wedge),
     "toe_strain": _make_on_any_subject(toe_strain),
     "cartilage": _make_on_any_subject(Cartilage),
     "compression": _make_on_any_subject(compression),

@@ -20,6 +20,7 @@ from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
+from identknee.subject.menisci import MENISCI, MOST_OFFSET, MOST_STIFFNESS, SIDES
 
 CONTACT_LAW = "contact_law"
 # Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
@@ -117,6 +118,31 @@ def meniscus(knee: Knee) -> Meniscus:
         femoral=knee.femur_frame.to_local([x for x, _ in ends]),
         tibial=knee.tibia_frame.to_local([x for _, x in ends]),
     )
+
+
+# Of the stiffness of a meniscus [N/mm3] and of how far the gaps of the scan are off [mm].
+WEDGE_SD, OFFSET_SD = 1.0, 0.5
+
+
+def meniscal_wedge() -> InputsChange:
+    """The menisci as wedges that fill the gaps around the plateaus in the scanned pose.
+
+    Pressure per compression of each [N/mm3], and how much higher they are than those gaps [mm].
+    They press where a gap closes, and so resist tilting, compression and sliding; see
+    `identknee.subject.menisci`.
+    """
+    made = amplitudes(
+        MENISCI,
+        [*(f"{x}_N_per_mm3" for x in SIDES), "offset_mm"],
+        [WEDGE_SD, WEDGE_SD, OFFSET_SD],
+        lower=[0.0, 0.0, -MOST_OFFSET],
+        upper=[MOST_STIFFNESS, MOST_STIFFNESS, MOST_OFFSET],
+    )
+    return InputsChange(name=MENISCI, parameters=made, changed=_with_wedges)
+
+
+def _with_wedges(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+    return replace(setting, menisci=np.array(values))
 
 
 BUNDLES = "bundles"

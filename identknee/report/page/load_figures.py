@@ -52,6 +52,7 @@ class Loads:
     strengths: Array = entry("Mean load at failure [N], shape ``(k,)``; NaN where none is known")
     spreads: Array = entry("Its standard deviation [N], in the same shape")
     contact: Array = entry("Medial and lateral contact force [N], shape ``(n, 2)``")
+    menisci: Array = entry("Force of the medial and the lateral meniscus [N], shape ``(n, 2)``")
     of_line: IntArray = entry("Which of the names each line of the scene belongs to")
 
     @property
@@ -82,6 +83,7 @@ def loads_of(scene: KneeScene, strengths: Strengths) -> Loads:
         strengths=known[:, 0],
         spreads=known[:, 1],
         contact=np.array([x.contact_N for x in scene.trials]),
+        menisci=np.array([x.meniscus_N for x in scene.trials]),
         of_line=of_line,
     )
 
@@ -255,6 +257,7 @@ def _shaded(view: View, triangles: Array) -> tuple[Array, Array]:
 
 ACROSS = 6
 COMPARTMENT_NAMES = tuple(f"{x} contact" for x in COMPARTMENTS)
+MENISCUS_NAMES = tuple(f"{x} meniscus" for x in COMPARTMENTS)
 
 
 def forces_chart(
@@ -281,6 +284,9 @@ def forces_chart(
     rows = _rows(loads)
     names = (*loads.names, *COMPARTMENT_NAMES)
     values = np.column_stack([loads.forces, loads.contact])
+    if np.nan_to_num(loads.menisci).any():
+        names = (*names, *MENISCUS_NAMES)
+        values = np.column_stack([values, loads.menisci])
     is_drawn = [k for k in range(len(names)) if np.isfinite(values[rows, k]).any()]
     across = min(ACROSS, max(len(is_drawn), 1))
     down = max(1, -(-len(is_drawn) // across))
@@ -318,7 +324,8 @@ LIMIT = "0.85"
 
 
 def _quantity(name: str) -> str:
-    return f"contact.{name.partition(' ')[0]}_N"
+    side, _, kind = name.partition(" ")
+    return f"{kind}.{side}_N"
 
 
 def _rows(loads: Loads) -> IntArray:

@@ -16,7 +16,7 @@ from identknee.mechanics.equilibria import Continuation, LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_courses, wrapped_lines
 from identknee.mechanics.pose import Placement, coordinates_from_pose, place
 from identknee.model.candidate_laxity import continued_from_own_poses
-from identknee.model.contact_loads import contact_values
+from identknee.model.contact_loads import contact_values, meniscus_values
 from identknee.model.effects.effect import MechanicalEffect
 from identknee.model.effects.facts import cause_label
 from identknee.model.laxity_model import Contact, LaxityModel, model_for_tests
@@ -123,6 +123,11 @@ class SceneTrial:
         "compartment",
         unit="N",
     )
+    meniscus_N: Array = array(  # noqa: N815 - the unit
+        "Force of the medial and the lateral meniscus, 0 without; NaN without equilibrium",
+        "compartment",
+        unit="N",
+    )
     near: IntArray = array(
         "Which vertices of the tibia touch the femur or are less than `APART` from it",
         "touching",
@@ -207,7 +212,7 @@ def _trials(
 ) -> tuple[SceneTrial, ...]:
     protocol, trials = model.protocol, []
     main_loads = nominal_loads(protocol)
-    contact = contact_values(prediction)[:, :, 0]
+    contact, menisci = (x(prediction)[:, :, 0] for x in (contact_values, meniscus_values))
     flexion, (_, field) = setting.flexion[model.paths.trial_node], model.surfaces(setting)
     for i, (outcome, pose) in enumerate(zip(prediction.outcomes, prediction.poses, strict=True)):
         placement = place(float(flexion[i]), pose)
@@ -222,6 +227,7 @@ def _trials(
                 coordinates=coordinates_from_pose(pose),
                 tensions=tensions[i],
                 contact_N=contact[i],
+                meniscus_N=menisci[i],
                 near=near,
                 depths=depths[near],
             )

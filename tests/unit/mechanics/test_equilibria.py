@@ -106,7 +106,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
         areas=np.array([2.0, 0.5]),
         compartment=np.array([0, 1]),
     )
-    points, radius, stiffness, compartment, law = contact.arrays()
+    points, radius, stiffness, compartment, law, menisci = contact.arrays()
     assert points.shape == (3, 2)
     assert points.flags.c_contiguous
     assert radius >= 5.0
@@ -121,6 +121,7 @@ def test_points_and_lines_go_to_the_kernel_as_it_wants_them() -> None:
     assert line[8:10] == (0.0, 0.0)
     assert [x.tolist() for x in line[:2]] == [[0.0] * 3, [1.0] * 3]
     assert law == (1.0, 0.0)
+    assert menisci.points.shape == (3, 0)
 
 
 def test_points_of_the_wrong_shape_are_refused() -> None:

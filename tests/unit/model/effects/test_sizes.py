@@ -30,6 +30,7 @@ LARGEST = {
     "bundles": (11.5, "geometric middle of 4 and 33 % between bundles (Blankevoort 1991)"),
     "mcl_wrapping": (8.0, "mm off the straight line"),
     "meniscus": (50.0, "N/mm"),
+    "meniscal_wedge": (2.5, "N/mm3: 0.5 kN on 400 mm2 that yield by half a millimetre"),
     "toe_strain": (1.5, "a toe of 1.5 or 4.5 % for 3 %"),
     "cartilage": (np.log(10.0), "a tenth of the modulus, or ten times it"),
     "compression": (200.0 / 1.5, "N of muscle tone, as far above the usual 60 N"),
