@@ -22,8 +22,14 @@ from identknee.mechanics.contact_elements import (
     turn_expansion,
 )
 from identknee.mechanics.elements import line_force, line_shape, sum_ligaments, write_sums
-from identknee.mechanics.memory import N_EVALUATIONS, N_EXPANDED, N_PUSHING, ROTATION_SCALE
-from identknee.mechanics.meniscus_elements import expand_menisci, sum_menisci
+from identknee.mechanics.memory import (
+    N_EVALUATIONS,
+    N_EXPANDED,
+    N_PUSHING,
+    N_TOUCHING,
+    ROTATION_SCALE,
+)
+from identknee.mechanics.meniscus_elements import add_menisci, expand_menisci
 from identknee.mechanics.obstacles import wrapped_element
 
 
@@ -236,10 +242,11 @@ def place_joint(flexion, q, grid, placed):
 def sum_up(load, law, ligaments, placed, expansion, at):
     """Energy of the pose placed last, from the expansion; derivatives are written to `at`."""
     total, energy = sum_contact(law, placed, expansion)
-    total, pressed = sum_menisci(total, placed, expansion)
     total, pulled = sum_ligaments(total, ligaments, placed)
-    energy += pressed + pulled
+    energy += pulled
     write_sums(total, placed.sums)
+    if placed.counts[N_PUSHING] > placed.counts[N_TOUCHING]:
+        energy += add_menisci(placed, expansion, placed.sums)
     generalised(placed.sums, placed.axes, at.gradient, at.hessian, at.gradient_by_flexion)
     for i in range(5):
         energy -= load[i] * placed.pose[i]

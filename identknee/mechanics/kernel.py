@@ -40,8 +40,8 @@ from identknee.mechanics.memory import (
     Segment,
 )
 from identknee.mechanics.meniscus_elements import (
+    add_menisci,
     meniscus_columns,
-    sum_menisci,
     write_meniscus_forces,
 )
 
@@ -438,8 +438,8 @@ def sensitivities(flexion, q, H, contact, ligaments, work, columns, S, contact_s
         if S.shape[1] > 2 * m + 2:
             meniscus_columns(contact.menisci, evaluation, columns, 2 * m)
         total, _ = sum_contact(contact.law, placed, evaluation.expansion)
-        total, _ = sum_menisci(total, placed, evaluation.expansion)
         write_sums(total, contact_sums)
+        add_menisci(placed, evaluation.expansion, contact_sums)
     place_tibia(flexion, q, R, t)
     motion_axes(flexion, R, t, axes)
     parameter_columns(placed, ligaments, columns)

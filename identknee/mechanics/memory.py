@@ -258,10 +258,10 @@ PATH = np.dtype(
 # tibia there, in femoral axes and in the frame of the distance field, and those for which points
 # were listed; the stiffness of a spring that holds the knee at a pose [N/mm], and that pose; how
 # the coordinates move the tibia, as `identknee.mechanics.energy.motion_axes` writes it; the sums
-# over the elements, as `identknee.mechanics.elements.write_sums` writes them; length, gradient (3)
-# and Hessian (6) of a line; how many points are listed (-1: no list yet) and may touch, how many
-# evaluations, listings and evaluations of the expansion were made, and how many points of contact
-# and then of menisci may push, at the places `N_LISTED` to `N_PUSHING`.
+# over the elements, as `identknee.mechanics.elements.write_sums` writes them, and over the menisci
+# alone; length, gradient (3) and Hessian (6) of a line; how many points are listed (-1: no list
+# yet) and may touch, how many evaluations, listings and evaluations of the expansion were made, and
+# how many points of contact and then of menisci may push, at the places `N_LISTED` to `N_PUSHING`.
 PLACED = np.dtype(
     [
         ("pose", float, 5),
@@ -275,6 +275,7 @@ PLACED = np.dtype(
         ("held_at", float, 5),
         ("axes", float, (9, 3)),
         ("sums", float, 39),
+        ("pressed", float, 39),
         ("course", COURSE),
         ("counts", np.int64, 6),
     ]

@@ -10,7 +10,7 @@ import numpy as np
 from identknee.mechanics.compiled import compiled
 from identknee.mechanics.contact_elements import KEPT_GAP, contact_element, spline_at
 from identknee.mechanics.distance_field import MOST_ROUNDING
-from identknee.mechanics.elements import added
+from identknee.mechanics.elements import NOTHING, added, write_sums
 from identknee.mechanics.memory import N_PUSHING, N_TOUCHING
 
 
@@ -56,16 +56,19 @@ def expand_menisci(menisci, work):
 
 
 @compiled
-def sum_menisci(total, placed, expansion):
-    """The sums with those over the menisci at the pose placed last, and their energy."""
-    R, t, energy = placed.rotation, placed.translation, 0.0
+def add_menisci(placed, expansion, sums):
+    """Add the sums over the menisci at the pose placed last to `sums` (39); their energy."""
+    R, t, own, energy, total = placed.rotation, placed.translation, placed.pressed, 0.0, NOTHING
     for i in range(placed.counts[N_TOUCHING], placed.counts[N_PUSHING]):
         first, squares, products, _, stored = contact_element(
             expansion, i, R, t, 1.0, MOST_ROUNDING
         )
         total = added(total, first, squares, products)
         energy += stored
-    return total, energy
+    write_sums(total, own)
+    for k in range(39):
+        sums[k] += own[k]
+    return energy
 
 
 @compiled
