@@ -630,7 +630,8 @@ class LaxityModel:
         codes = np.array(found.codes[nodes])
         centres, menisci = found.centres[nodes], found.menisci[nodes]
         if setting.frames is not None:
-            centres, menisci = setting.frames.centres(centres), setting.frames.centres(menisci)
+            centres = setting.frames.centres(centres)
+            menisci = setting.frames.centres(menisci)
         poses, reached = found.poses[nodes], found.reached[nodes]
         converged = codes == CONVERGED
         actual = coordinates_from_pose(poses)

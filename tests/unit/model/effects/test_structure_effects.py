@@ -17,14 +17,19 @@ VARUS_DEG, INTERNAL_DEG = 3, 4
 
 
 def coordinates(
-    knee: Knee, flexion: float, moments: tuple[float, float], **amplitudes: float
+    knee: Knee,
+    flexion: float,
+    moments: tuple[float, float],
+    *,
+    anterior_N: float = 0.0,
+    **amplitudes: float,
 ) -> Array:
     """Coordinates (5,) of one trial with amplitudes of effects by ``effect__amplitude``."""
     protocol = Protocol(
         name="one",
         trials=("one",),
         flexion_deg=np.array([flexion]),
-        loads=np.array([[*moments, 0.0, 0.0, 0.0]]),
+        loads=np.array([[*moments, anterior_N, 0.0, 0.0]]),
     )
     names = dict.fromkeys(x.partition("__")[0] for x in amplitudes)
     model = LaxityModel(
@@ -148,3 +153,34 @@ def _rest() -> Protocol:
     return Protocol(
         name="rest", trials=("rest",), flexion_deg=np.array([0.0]), loads=np.zeros((1, 5))
     )
+
+
+@pytest.mark.parametrize(("moments", "side"), [(VALGUS, "lateral"), (VARUS, "medial")])
+def test_the_wedge_of_the_loaded_side_resists_tilting(
+    moments: tuple[float, float], side: str, reference: Knee
+) -> None:
+    """It presses where the tilt closes the gap; the other one is idle."""
+    other = {"medial": "lateral", "lateral": "medial"}[side]
+    free, held, idle = (
+        coordinates(reference, 60.0, moments, **{f"meniscal_wedge__{x}_N_per_mm3": k})
+        for x, k in ((side, 0.0), (side, 1.0), (other, 1.0))
+    )
+    sign = np.sign(moments[1])
+    assert sign * (free - held)[VARUS_DEG] > 0.5
+    assert abs((free - idle)[VARUS_DEG]) < 0.1
+
+
+def test_wedges_resist_the_anterior_drawer_of_a_flexed_knee(reference: Knee) -> None:
+    """Their rear rises against the condyles when the tibia slides forwards."""
+    free, held = (
+        coordinates(
+            reference,
+            60.0,
+            (0.0, 0.0),
+            anterior_N=60.0,
+            meniscal_wedge__medial_N_per_mm3=k,
+            meniscal_wedge__lateral_N_per_mm3=k,
+        )
+        for k in (0.0, 1.0)
+    )
+    assert (free - held)[1] > 1.0
