@@ -44,7 +44,7 @@ from identknee.mechanics.equilibria import (
 )
 from identknee.mechanics.ligament_tensions import line_lengths, wrapped_lines
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.menisci import Menisci
+from identknee.mechanics.menisci import NO_MENISCI, Menisci
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, place, start_pose
 from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, scope_of
@@ -70,7 +70,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction, solve_beyond_folds
 from identknee.runs.arrays import Array, IntArray, frozen, short_repr
 from identknee.runs.declare import array, declared, entry
-from identknee.runs.errors import InputError, ValueRefused
+from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
@@ -186,41 +186,35 @@ def meniscus_geometry(knee: Knee, number: int | None = MENISCUS_POINTS) -> Menis
     knee
         The subject.
     number
-        About how many points there are; None for every vertex below the menisci.
-
-    Raises
-    ------
-    ValueError
-        If a plateau has no rim, or no gap near it.
+        About how many points there are; None for every vertex below the menisci. None lie on a
+        plateau that has no rim, or no gap near it.
     """
     joint = contact_geometry(knee)
     femoral = knee.femur_frame.to_local(knee.femur.vertices)
     field = _field(knee, femoral, spacing=WIDE_SPACING, padding=WIDE_PADDING)
     scanned = place(joint.start_flexion, joint.start)
-    below = []
-    sheets = zip(SIDES, contact_sheets(knee)[1], joint.tibial_rims, (1.0, -1.0), strict=True)
-    for side, (vertices, faces), rim, inward in sheets:
+    below, sides = [], []
+    sheets = zip(contact_sheets(knee)[1], joint.tibial_rims, (1.0, -1.0), strict=True)
+    for side, ((vertices, faces), rim, inward) in enumerate(sheets):
         # So that a knee that lies elsewhere in its scanner has the same patches.
         vertices = np.round(vertices, DECIMALS)
         centroids = vertices[faces].mean(axis=1)
         gaps = gaps_to(field, scanned.to_femur(centroids))
         own = on_periphery(centroids, rim, inward, width_of_menisci(knee))
         own &= (gaps > 0.0) & (gaps <= HIGHEST)
-        if not own.any():
-            raise ValueRefused(
-                f"the {side} plateau of {knee.name} has no rim below a gap of at most "
-                f"{HIGHEST:g} mm, where a meniscus would lie",
-                "leave out the menisci",
-            )
-        used, renamed = np.unique(faces[own], return_inverse=True)
-        below.append((vertices[used], renamed.reshape(-1, 3)))
+        if own.any():
+            used, renamed = np.unique(faces[own], return_inverse=True)
+            below.append((vertices[used], renamed.reshape(-1, 3)))
+            sides.append(side)
+    if not below:
+        return NO_MENISCI
     found = contact_points(below, number)
     heights = gaps_to(field, scanned.to_femur(found.points))
     return Menisci(
         points=found.points,
         areas=found.areas,
         heights=heights,
-        side=found.compartment,
+        side=np.array(sides)[found.compartment],
         stiffness=np.zeros(len(SIDES)),
         field=field,
     )

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identknee.mechanics.contact_points import RimDistance
+from identknee.mechanics.contact_points import RimDistance, rim_distance
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.anatomy import TYPICAL_WIDTH
@@ -62,7 +62,7 @@ def with_menisci(
     Raises
     ------
     ValueError
-        If a number is out of its range or the knee has menisci.
+        If a number is out of its range, a plateau has no rim, or the knee has menisci.
 
     Examples
     --------
@@ -84,6 +84,13 @@ def with_menisci(
             f"the distance to the femur is known around their gaps, got {offset_mm:g}",
             "correct it, or leave it out",
         )
+    for side in plateaus_without_rim(knee):
+        if stiffness[side]:
+            raise ValueRefused(
+                f"the {side} plateau of {knee.name} is a closed surface, without a rim that a "
+                "meniscus could follow",
+                f"give the articular surface alone, or write {side}_N_per_mm3 = 0.0",
+            )
     if any(x.name == MENISCI for x in knee.effects):
         raise ValueRefused(f"{knee.name} has menisci already", "state them once")
     removed = tuple(f"{x}_N_per_mm3" for x, value in stiffness.items() if value == 0.0)
@@ -100,6 +107,12 @@ def with_menisci(
     }
     priors = {**stated, **knee.priors}
     return replace(knee, effects=(*knee.effects, choice), priors=priors, fitted={})
+
+
+def plateaus_without_rim(knee: Knee) -> tuple[str, ...]:
+    """The sides on which the surface of the tibia is closed."""
+    sheets = zip(SIDES, knee.tibia, strict=True)
+    return tuple(side for side, x in sheets if not len(rim_distance(x.vertices, x.faces).rim))
 
 
 def width_of_menisci(knee: Knee) -> float:

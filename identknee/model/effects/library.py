@@ -55,7 +55,7 @@ from identknee.subject.anatomy import anatomy
 from identknee.subject.capsule import SHEETS
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import EffectChoice, Knee
-from identknee.subject.menisci import MENISCI
+from identknee.subject.menisci import MENISCI, plateaus_without_rim
 
 # Sheets of a subject's own capsule that take the place of a structure.
 COVERED: Mapping[str, frozenset[str]] = MappingProxyType(
@@ -71,10 +71,10 @@ NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift
 def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> tuple[Effect, ...]:
     """All causes that can be tried on a subject, in the order of `FACTS`.
 
-    Wrapping of the medial collateral ligament is left out where the subject has no such line, and
-    so is a structure where a ligament of the subject is called like it or sheets of its capsule
-    cover it. Where the subject's lines are bundles already, those of each ligament are a cause of
-    their own, all of one name.
+    Wrapping of the medial collateral ligament is left out where the subject has no such line,
+    menisci where a plateau has no rim, and a structure where a ligament of the subject is called
+    like it or sheets of its capsule cover it. Where the subject's lines are bundles already, those
+    of each ligament are a cause of their own, all of one name.
 
     Parameters
     ----------
@@ -106,6 +106,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     medial = anatomy(knee).medial_collateral
     if medial is None or knee.ligament(medial).wrap is not None:
         left_out.add(WRAPPING)
+    if plateaus_without_rim(knee):
+        left_out.add(MENISCI)
     named: dict[str, tuple[Effect, ...]] = {
         name: (effect_named(knee, name),) for name in _MAKERS if name not in left_out
     }

@@ -17,7 +17,7 @@ from identknee.model.effects.library import library
 from identknee.report.answers.diagnose import size_words
 from identknee.subject.knee import Knee
 
-UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/N·m", "deg/N·m", "1"}
+UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/mm3", "N/N·m", "deg/N·m", "1"}
 
 
 def test_every_amplitude_of_the_library_has_its_unit(reference: Knee) -> None:

@@ -11,7 +11,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from report_folders import few_trials
 
-from identknee.model.contact_loads import contact_values
+import identknee as ik
+from identknee.model.contact_loads import contact_values, meniscus_values
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.report.figures import FIT
@@ -125,3 +126,22 @@ def test_the_chart_has_every_force_its_interval_and_its_limit(
     assert [x.get_text() for x in figure.legends[0].get_texts()][1] == "95 % interval"
     plain = forces_chart(trials, loads)
     assert "95 % interval" not in [x.get_text() for x in plain.legends[0].get_texts()]
+
+
+def test_the_chart_has_the_forces_of_menisci_where_a_knee_has_them() -> None:
+    model = LaxityModel(knee=ik.subject.with_menisci(bundled_knee()), protocol=few_trials())
+    theta, trials = np.array(model.parameters.start), model.protocol.trials
+    scene = model_scene(model, theta)
+    own = loads_of(scene, strengths_of(scene))
+    wanted = meniscus_values(model.predict(theta, derivatives=False))[:, :, 0]
+    np.testing.assert_array_equal(own.menisci, wanted)
+    known = Range(source=Source.PROFILE, low=3.0, high=9.0, value=5.0, status="known")
+    figure = forces_chart(trials, own, {f"meniscus.lateral_N@{trials[1]}": known})
+    assert faults(figure, trials) == []
+    panels = {x.get_title(): x for x in figure.axes}
+    assert list(panels)[-2:] == ["medial meniscus", "lateral meniscus"]
+    for k, side in enumerate(("medial", "lateral")):
+        lines = panels[f"{side} meniscus"].lines
+        (dots,) = [x for x in lines if x.get_marker() == "o"]
+        np.testing.assert_array_equal(dots.get_xdata(), wanted[:, k])
+        assert len([x for x in lines if x.get_color() == FIT and x.get_marker() == "None"]) == k

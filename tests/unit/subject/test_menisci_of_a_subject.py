@@ -1,13 +1,16 @@
 """Menisci of a subject: what its file says, and what it may not say."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.model.laxity_model import LaxityModel
-from identknee.subject.menisci import LOG_STIFFNESS_SD, STIFFNESS
+from identknee.model.effects.library import library
+from identknee.model.laxity_model import LaxityModel, meniscus_geometry
+from identknee.subject.menisci import LOG_STIFFNESS_SD, MENISCI, STIFFNESS
+from identknee.subject.surface import Surface
 
 MEDIAL, LATERAL = (f"meniscal_wedge.{x}_N_per_mm3" for x in ("medial", "lateral"))
 
@@ -78,3 +81,22 @@ def test_menisci_are_stated_once_with_a_stiffness() -> None:
     for value in (np.nan, np.inf, -0.1, 6.0):
         with pytest.raises(ValueError, match="lateral meniscus"):
             ik.subject.with_menisci(ik.reference_knee(), lateral_N_per_mm3=value)
+
+
+def test_a_closed_plateau_has_no_place_for_a_meniscus() -> None:
+    """It is refused where one is stated, and no cause for `diagnose`."""
+    knee = ik.reference_knee()
+    medial, lateral = knee.tibia
+    ball = Surface(
+        vertices=medial.vertices[:4] + 3.0 * np.eye(4, 3),
+        faces=np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
+    )
+    closed = replace(knee, tibia=(ball, lateral))
+    with pytest.raises(ValueError, match=r"medial plateau.*closed.*medial_N_per_mm3 = 0\.0"):
+        ik.subject.with_menisci(closed)
+    made = ik.subject.with_menisci(closed, medial_N_per_mm3=0.0)
+    assert set(meniscus_geometry(made).side.tolist()) == {1}
+    assert MENISCI in {x.name for x in library(knee)}
+    assert MENISCI not in {x.name for x in library(closed)}
+    whole = meniscus_geometry(replace(knee, tibia=(ball, ball)))
+    assert not len(whole.points)
