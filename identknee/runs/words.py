@@ -64,8 +64,11 @@ def coordinate_words(name: str) -> str:
     --------
     >>> coordinate_words("internal_deg"), coordinate_words("anterior_drawer_mm")
     ('internal rotation', 'anterior drawer')
+    >>> coordinate_words("medial_stiffness_N_per_mm3")
+    'medial stiffness'
     """
-    return MOTIONS.get(name) or name.rpartition("_")[0].replace("_", " ") or name
+    above = name.partition("_per_")[0]
+    return MOTIONS.get(name) or above.rpartition("_")[0].replace("_", " ") or name
 
 
 def label(name: str) -> str:
@@ -75,10 +78,12 @@ def label(name: str) -> str:
     --------
     >>> label("ACL.reference_strain_pct"), label("varus_deg"), label("x.total")
     ('ACL reference strain [%]', 'varus angulation [deg]', 'x total')
-    >>> label("contact.medial_N@a")
-    'medial contact force [N] in a'
+    >>> label("contact.medial_N@a"), label("meniscus.medial_N_per_mm")
+    ('medial contact force [N] in a', 'meniscus medial [N/mm]')
     """
     quantity, at, trial = name.partition("@")
+    if "_per_" in quantity:
+        return amplitude_label(quantity)
     words, _, unit = quantity.rpartition("_")
     if not words:
         return name.replace(".", " ")
@@ -127,8 +132,13 @@ def unit_of(name: str) -> str:
     --------
     >>> unit_of("ACL.stiffness_kN"), unit_of("ACL.tension_N@a"), unit_of("x.value_pct")
     ('kN', 'N', '%')
+    >>> unit_of("meniscal_wedge.medial_stiffness_N_per_mm3")
+    'N/mm3'
     """
-    words, _, unit = name.partition("@")[0].rpartition("_")
+    above, per, below = name.partition("@")[0].partition("_per_")
+    words, _, unit = above.rpartition("_")
+    if per:
+        return f"{UNITS.get(unit, unit)}/{UNITS.get(below, below)}"
     return UNITS.get(unit, unit) if words else ""
 
 
@@ -139,9 +149,12 @@ def label_without_unit(name: str) -> str:
     --------
     >>> label_without_unit("ACL.reference_strain_pct"), label_without_unit("ACL.tension_N@a")
     ('ACL reference strain', 'ACL tension in a')
+    >>> label_without_unit("meniscal_wedge.medial_stiffness_N_per_mm3")
+    'meniscal wedge medial stiffness'
     """
     quantity, at, trial = name.partition("@")
-    words = contact_words(quantity) or _plain(quantity, quantity.rpartition("_")[0] or quantity)
+    above = quantity.partition("_per_")[0]
+    words = contact_words(quantity) or _plain(quantity, above.rpartition("_")[0] or quantity)
     return f"{words} in {trial}" if at else words
 
 

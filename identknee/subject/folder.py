@@ -205,8 +205,8 @@ class GroupTable(Part):
 class MenisciTable(Part):
     """``[menisci]``, any of it."""
 
-    medial_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
-    lateral_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
+    medial_stiffness_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
+    lateral_stiffness_N_per_mm3: Number = STIFFNESS  # noqa: N815 - the unit
     offset_mm: Number = 0.0
 
 

@@ -40,21 +40,21 @@ FIELD_REACH = HIGHEST + MOST_OFFSET
 def with_menisci(
     knee: Knee,
     *,
-    medial_N_per_mm3: float = STIFFNESS,
-    lateral_N_per_mm3: float = STIFFNESS,
+    medial_stiffness_N_per_mm3: float = STIFFNESS,
+    lateral_stiffness_N_per_mm3: float = STIFFNESS,
     offset_mm: float = 0.0,
 ) -> Knee:
     """The knee with menisci among its effects.
 
-    All verbs treat their stiffness like other parameters, ``meniscal_wedge.medial_N_per_mm3`` and
-    ``meniscal_wedge.lateral_N_per_mm3``, with lognormal priors around these values. A stiffness of
-    0 is no meniscus and stays so. The offset is fixed.
+    All verbs treat their stiffness like other parameters, with lognormal priors around these
+    values: ``meniscal_wedge.medial_stiffness_N_per_mm3`` and the same of ``lateral``. A stiffness
+    of 0 is no meniscus and stays so. The offset is fixed.
 
     Parameters
     ----------
     knee
         The subject.
-    medial_N_per_mm3, lateral_N_per_mm3
+    medial_stiffness_N_per_mm3, lateral_stiffness_N_per_mm3
         Pressure per compression of each meniscus, 0 to 5.
     offset_mm
         How much higher the wedges are than the gaps in the scanned pose, -2 to 2.
@@ -67,10 +67,11 @@ def with_menisci(
     Examples
     --------
     >>> from identknee.subject.reference import reference_knee
-    >>> dict(with_menisci(reference_knee(), lateral_N_per_mm3=2.0).effects[0].values)
-    {'medial_N_per_mm3': 1.0, 'lateral_N_per_mm3': 2.0, 'offset_mm': 0.0}
+    >>> dict(with_menisci(reference_knee(), lateral_stiffness_N_per_mm3=2.0).effects[0].values)
+    {'medial_stiffness_N_per_mm3': 1.0, 'lateral_stiffness_N_per_mm3': 2.0, 'offset_mm': 0.0}
     """
-    stiffness = dict(zip(SIDES, (medial_N_per_mm3, lateral_N_per_mm3), strict=True))
+    both = medial_stiffness_N_per_mm3, lateral_stiffness_N_per_mm3
+    stiffness = dict(zip(SIDES, both, strict=True))
     for side, value in stiffness.items():
         if not 0.0 <= value <= MOST_STIFFNESS:
             raise ValueRefused(
@@ -89,12 +90,12 @@ def with_menisci(
             raise ValueRefused(
                 f"the {side} plateau of {knee.name} is a closed surface, without a rim that a "
                 "meniscus could follow",
-                f"give the articular surface alone, or write {side}_N_per_mm3 = 0.0",
+                f"give the articular surface alone, or write {side}_stiffness_N_per_mm3 = 0.0",
             )
     if any(x.name == MENISCI for x in knee.effects):
         raise ValueRefused(f"{knee.name} has menisci already", "state them once")
-    removed = tuple(f"{x}_N_per_mm3" for x, value in stiffness.items() if value == 0.0)
-    values = {f"{x}_N_per_mm3": float(value) for x, value in stiffness.items()}
+    removed = tuple(f"{x}_stiffness_N_per_mm3" for x, value in stiffness.items() if value == 0.0)
+    values = {f"{x}_stiffness_N_per_mm3": float(value) for x, value in stiffness.items()}
     choice = EffectChoice(
         name=MENISCI,
         values={**values, "offset_mm": float(offset_mm)},

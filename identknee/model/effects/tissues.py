@@ -133,7 +133,7 @@ def meniscal_wedge() -> InputsChange:
     """
     made = amplitudes(
         MENISCI,
-        [*(f"{x}_N_per_mm3" for x in SIDES), "offset_mm"],
+        [*(f"{x}_stiffness_N_per_mm3" for x in SIDES), "offset_mm"],
         [WEDGE_SD, WEDGE_SD, OFFSET_SD],
         lower=[0.0, 0.0, -MOST_OFFSET],
         upper=[MOST_STIFFNESS, MOST_STIFFNESS, MOST_OFFSET],

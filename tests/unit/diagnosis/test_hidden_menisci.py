@@ -11,7 +11,7 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.menisci import MENISCI
 
-STIFFNESS = {"medial_N_per_mm3": 0.7, "lateral_N_per_mm3": 1.3}
+STIFFNESS = {"medial_stiffness_N_per_mm3": 0.7, "lateral_stiffness_N_per_mm3": 1.3}
 FEW = (MENISCI, "meniscus", "deep_mcl", "cartilage", "compression", "tibia_frame")
 
 
@@ -53,7 +53,7 @@ def test_a_fit_finds_the_stiffness_of_menisci_that_a_knee_has() -> None:
     protocol = ik.load_protocol("seed63").select(range(0, 63, 4))
     model = LaxityModel(knee=knee, protocol=protocol)
     theta = np.array(model.parameters.start)
-    theta[8:] = STIFFNESS["medial_N_per_mm3"], STIFFNESS["lateral_N_per_mm3"]
+    theta[8:] = STIFFNESS["medial_stiffness_N_per_mm3"], STIFFNESS["lateral_stiffness_N_per_mm3"]
     laxity = add_noise(model.simulate(theta), sd_mm=0.1, sd_deg=0.1, seed=1)
     fitted = ik.fit(knee, laxity).parameter_set
     for side, value in STIFFNESS.items():

@@ -55,7 +55,8 @@ def at(model: LaxityModel, values: tuple[float, ...] = VALUES) -> Array:
 def _reference(rounding: float, uncertainty: Uncertainty) -> LaxityModel:
     """A knee of a scan with menisci in trials of every kind."""
     knee = replace(ik.example("lenhart2015_stable"), contact_rounding_mm=rounding)
-    knee = ik.subject.with_menisci(knee, medial_N_per_mm3=0.8, lateral_N_per_mm3=1.3)
+    stiffness = {"medial_stiffness_N_per_mm3": 0.8, "lateral_stiffness_N_per_mm3": 1.3}
+    knee = ik.subject.with_menisci(knee, **stiffness)
     (choice,) = knee.effects
     knee = knee.with_effects([replace(choice, fixed=())]).with_uncertainty(uncertainty)
     return LaxityModel(knee=knee, protocol=ik.load_protocol("seed63").select(range(0, 63, 9)))

@@ -12,7 +12,7 @@ from identknee.model.laxity_model import LaxityModel, meniscus_geometry
 from identknee.subject.menisci import LOG_STIFFNESS_SD, MENISCI, STIFFNESS
 from identknee.subject.surface import Surface
 
-MEDIAL, LATERAL = (f"meniscal_wedge.{x}_N_per_mm3" for x in ("medial", "lateral"))
+MEDIAL, LATERAL = (f"meniscal_wedge.{x}_stiffness_N_per_mm3" for x in ("medial", "lateral"))
 
 
 def with_text(folder: Path, text: str) -> Path:
@@ -23,7 +23,9 @@ def with_text(folder: Path, text: str) -> Path:
 
 
 def test_stiffnesses_are_parameters_with_priors_and_the_offset_is_stated() -> None:
-    knee = ik.subject.with_menisci(ik.reference_knee(), lateral_N_per_mm3=2.0, offset_mm=0.2)
+    knee = ik.subject.with_menisci(
+        ik.reference_knee(), lateral_stiffness_N_per_mm3=2.0, offset_mm=0.2
+    )
     p = LaxityModel(knee=knee, protocol=ik.load_protocol("drawer")).parameters
     assert p.names[8:] == (MEDIAL, LATERAL)
     np.testing.assert_array_equal(p.start[8:], [STIFFNESS, 2.0])
@@ -34,7 +36,7 @@ def test_stiffnesses_are_parameters_with_priors_and_the_offset_is_stated() -> No
 
 
 def test_a_removed_meniscus_stays_removed() -> None:
-    knee = ik.subject.with_menisci(ik.reference_knee(), medial_N_per_mm3=0.0)
+    knee = ik.subject.with_menisci(ik.reference_knee(), medial_stiffness_N_per_mm3=0.0)
     model = LaxityModel(knee=knee, protocol=ik.load_protocol("drawer"))
     assert model.parameters.names[8:] == (LATERAL,)
     found = model.predict(np.array(model.parameters.start), derivatives=False)
@@ -45,10 +47,10 @@ def test_a_removed_meniscus_stays_removed() -> None:
 def test_they_are_read_from_a_subject_file_and_written_as_an_effect(tmp_path: Path) -> None:
     plain = ik.example("s192803")  # a left knee
     folder = ik.write_subject(plain, tmp_path / "knee")
-    read = ik.read_subject(with_text(folder, "[menisci]\nmedial_N_per_mm3 = 1.5"))
+    read = ik.read_subject(with_text(folder, "[menisci]\nmedial_stiffness_N_per_mm3 = 1.5"))
     assert dict(read.effects[0].values) == {
-        "medial_N_per_mm3": 1.5,
-        "lateral_N_per_mm3": STIFFNESS,
+        "medial_stiffness_N_per_mm3": 1.5,
+        "lateral_stiffness_N_per_mm3": STIFFNESS,
         "offset_mm": 0.0,
     }
     again = ik.read_subject(ik.write_subject(read, tmp_path / "again"))
@@ -60,8 +62,14 @@ def test_they_are_read_from_a_subject_file_and_written_as_an_effect(tmp_path: Pa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[menisci]\nmedial_N_per_mm3 = -1.0", r"\[menisci\].*medial meniscus.*0 to 5 N/mm3"),
-        ("[menisci]\nmiddle_N_per_mm3 = 1.0", r"middle_N_per_mm3.*medial_N_per_mm3"),
+        (
+            "[menisci]\nmedial_stiffness_N_per_mm3 = -1.0",
+            r"\[menisci\].*medial meniscus.*0 to 5 N/mm3",
+        ),
+        (
+            "[menisci]\nmiddle_stiffness_N_per_mm3 = 1.0",
+            r"middle_stiffness_N_per_mm3.*medial_stiffness_N_per_mm3",
+        ),
         ("[menisci]\noffset_mm = 2.5", r"\[menisci\].*-2 to 2 mm.*distance.*2\.5"),
         ("menisci = 1.0", r"menisci.*is not a table.*\[menisci\]"),
     ],
@@ -80,7 +88,7 @@ def test_menisci_are_stated_once_with_a_stiffness() -> None:
         ik.subject.with_menisci(knee)
     for value in (np.nan, np.inf, -0.1, 6.0):
         with pytest.raises(ValueError, match="lateral meniscus"):
-            ik.subject.with_menisci(ik.reference_knee(), lateral_N_per_mm3=value)
+            ik.subject.with_menisci(ik.reference_knee(), lateral_stiffness_N_per_mm3=value)
 
 
 def test_a_closed_plateau_has_no_place_for_a_meniscus() -> None:
@@ -92,9 +100,11 @@ def test_a_closed_plateau_has_no_place_for_a_meniscus() -> None:
         faces=np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
     )
     closed = replace(knee, tibia=(ball, lateral))
-    with pytest.raises(ValueError, match=r"medial plateau.*closed.*medial_N_per_mm3 = 0\.0"):
+    with pytest.raises(
+        ValueError, match=r"medial plateau.*closed.*medial_stiffness_N_per_mm3 = 0\.0"
+    ):
         ik.subject.with_menisci(closed)
-    made = ik.subject.with_menisci(closed, medial_N_per_mm3=0.0)
+    made = ik.subject.with_menisci(closed, medial_stiffness_N_per_mm3=0.0)
     assert set(meniscus_geometry(made).side.tolist()) == {1}
     assert MENISCI in {x.name for x in library(knee)}
     assert MENISCI not in {x.name for x in library(closed)}

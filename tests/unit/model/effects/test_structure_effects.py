@@ -162,7 +162,7 @@ def test_the_wedge_of_the_loaded_side_resists_tilting(
     """It presses where the tilt closes the gap; the other one is idle."""
     other = {"medial": "lateral", "lateral": "medial"}[side]
     free, held, idle = (
-        coordinates(reference, 60.0, moments, **{f"meniscal_wedge__{x}_N_per_mm3": k})
+        coordinates(reference, 60.0, moments, **{f"meniscal_wedge__{x}_stiffness_N_per_mm3": k})
         for x, k in ((side, 0.0), (side, 1.0), (other, 1.0))
     )
     sign = np.sign(moments[1])
@@ -178,8 +178,8 @@ def test_wedges_resist_the_anterior_drawer_of_a_flexed_knee(reference: Knee) -> 
             60.0,
             (0.0, 0.0),
             anterior_N=60.0,
-            meniscal_wedge__medial_N_per_mm3=k,
-            meniscal_wedge__lateral_N_per_mm3=k,
+            meniscal_wedge__medial_stiffness_N_per_mm3=k,
+            meniscal_wedge__lateral_stiffness_N_per_mm3=k,
         )
         for k in (0.0, 1.0)
     )
