@@ -48,6 +48,11 @@ UNLISTED: MappingProxyType[str, Draw] = MappingProxyType(
         "one_way_yield": rig.one_way_yield,
     }
 )
+# Effects that a diagnosis can name, which are hidden only where they are asked for by name: what
+# the seeds of earlier cases draw stays as it was.
+BY_NAME: MappingProxyType[str, Draw] = MappingProxyType(
+    {"meniscal_wedge": structures.meniscal_wedge}
+)
 # Effects that depend on when a trial was made and in which direction the load went.
 HISTORY = frozenset({"hysteresis", "creep", "drift"})
-EFFECTS: MappingProxyType[str, Draw] = MappingProxyType({**LISTED, **UNLISTED})
+EFFECTS: MappingProxyType[str, Draw] = MappingProxyType({**LISTED, **UNLISTED, **BY_NAME})

@@ -49,6 +49,8 @@ class VirtualKnee(NamedTuple):
     weights: Array
     springs: Array
     torsion: Array
+    pads: Array
+    wide: FemurGrid
 
 
 @compiled
@@ -248,6 +250,25 @@ def _contact_energy(R, t, surface, field, listed, wrench, touching):
 
 
 @compiled
+def _pad_energy(R, t, pads, field, wrench):
+    """Energy of elastic pads on the tibia, each of which the femur presses below its height."""
+    memory, gradient, arm = np.empty((6, 4)), np.empty(3), np.empty(3)
+    energy = 0.0
+    for pad in pads:
+        for m in range(3):
+            arm[m] = R[m, 0] * pad[0] + R[m, 1] * pad[1] + R[m, 2] * pad[2]
+        x, y, z = arm[0] + t[0], arm[1] + t[1], arm[2] + t[2]
+        if not _near(field, x, y, z, pad[4]):
+            continue
+        depth = pad[4] - _distance(field, x, y, z, memory, gradient)
+        if depth > 0.0:
+            force = pad[3] * depth
+            energy += 0.5 * force * depth
+            _push(wrench, arm, -force * gradient[0], -force * gradient[1], -force * gradient[2])
+    return energy
+
+
+@compiled
 def line_path(R, t, line):
     """Length of a line, where it acts on the tibia and its slope with that place's motion.
 
@@ -309,11 +330,12 @@ def energy_of(R, t, load, knee, listed, gradient, touching):
 
     `load` is varus and internal moment [N mm], anterior, distraction and lateral force [N].
     """
-    surface, field, lines, weights, springs, torsion = knee
+    surface, field, lines, weights, springs, torsion, pads, wide = knee
     wrench = np.zeros(6)
     energy, n = _contact_energy(R, t, surface, field, listed, wrench, touching)
     energy += _line_energy(R, t, lines, wrench)
     energy += _other_energy(R, t, weights, springs, wrench)
+    energy += _pad_energy(R, t, pads, wide, wrench)
     axes = joint_axes(R)
     e2, e3 = axes[0], axes[1]
     place = grood_suntay(R, t)

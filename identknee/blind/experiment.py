@@ -2,12 +2,15 @@
 
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from identknee.blind import energy, equilibrium
@@ -23,6 +26,8 @@ from identknee.subject.surface import Surface
 SPACING_MM = 0.9
 # Distances are cut off here, and the grid reaches this far beyond the surface [mm].
 BAND_MM = 5.0
+# The same of the grid for pads, which are higher than contact is deep.
+WIDE_BAND_MM = 10.0
 # Vertices that share in the distance to a place, and the width of their weights over the edge.
 NEIGHBOURS = 24
 WIDTH = 0.8
@@ -35,13 +40,13 @@ class DistanceGrid:
     """Signed distance to the femoral surface at the nodes of a grid in the femur's frame."""
 
     values: Array = entry(
-        "Distance at the nodes [mm], negative inside, cut off at `BAND_MM`, shape ``(a, b, c)``"
+        "Distance at the nodes [mm], negative inside, cut off at the band, shape ``(a, b, c)``"
     )
     origin: Array = entry("Position of the first node [mm], shape ``(3,)``")
     spacing: float = entry("Distance between nodes [mm]")
 
 
-def distance_grid(knee: Knee) -> DistanceGrid:
+def distance_grid(knee: Knee, band: float = BAND_MM) -> DistanceGrid:
     """The grid of a knee's femur, kept on disk between calls under a digest of the surface.
 
     The closed form is used where the knee has one. Otherwise the distance at a place is the
@@ -54,9 +59,9 @@ def distance_grid(knee: Knee) -> DistanceGrid:
     .. [1] Kolluri (2008), ACM Trans. Algorithms 4(2), 18. https://doi.org/10.1145/1361192.1361195
     """
     local = Surface(vertices=knee.femur_frame.to_local(knee.femur.vertices), faces=knee.femur.faces)
-    origin = local.vertices.min(axis=0) - BAND_MM - 2.0 * SPACING_MM
-    counts = np.ceil((local.vertices.max(axis=0) + BAND_MM - origin) / SPACING_MM) + 2.0
-    name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {BAND_MM} {NEIGHBOURS} {WIDTH}".encode())
+    origin = local.vertices.min(axis=0) - band - 2.0 * SPACING_MM
+    counts = np.ceil((local.vertices.max(axis=0) + band - origin) / SPACING_MM) + 2.0
+    name = hashlib.sha256(f"{FORMAT} {SPACING_MM} {band} {NEIGHBOURS} {WIDTH}".encode())
     name.update(local.vertices.tobytes() + local.faces.tobytes())
     name.update(repr(knee.femur_distance).encode() if knee.femur_distance is not None else b"")
     path = cache_folder() / "blind" / f"femur-{name.hexdigest()[:24]}.npy"
@@ -65,12 +70,20 @@ def distance_grid(knee: Knee) -> DistanceGrid:
         nodes = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
         places = origin + SPACING_MM * nodes.reshape(-1, 3)
         if knee.femur_distance is None:
-            distance = _from_vertices(local, places)
+            distance = _from_vertices(local, places, band)
         else:
             distance = knee.femur_distance(knee.femur_frame.to_common(places))
-        values = np.clip(distance, -BAND_MM, BAND_MM).reshape(nodes.shape[:3])
+        values = np.clip(distance, -band, band).reshape(nodes.shape[:3])
         _keep(path, values)
     return DistanceGrid(values=values, origin=origin, spacing=SPACING_MM)
+
+
+def distances(grid: DistanceGrid, places: Array) -> Array:
+    """Distance of places (n, 3) of the femur's frame [mm], ``(n,)``, linear between nodes."""
+    at = ((places - grid.origin) / grid.spacing).T
+    outside = float(np.abs(grid.values).max())
+    found = map_coordinates(grid.values, at, order=1, mode="constant", cval=outside)
+    return np.asarray(found)
 
 
 def vertex_normals(surface: Surface) -> Array:
@@ -83,7 +96,7 @@ def vertex_normals(surface: Surface) -> Array:
     return np.asarray(total / np.where(length > 0.0, length, 1.0)[:, None])
 
 
-def _from_vertices(surface: Surface, places: Array) -> Array:
+def _from_vertices(surface: Surface, places: Array, band: float = BAND_MM) -> Array:
     normals = vertex_normals(surface)
     corners = surface.vertices[surface.faces]
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
@@ -96,7 +109,7 @@ def _from_vertices(surface: Surface, places: Array) -> Array:
     aside = np.linalg.norm(offset - height[:, None] * normals[number], axis=1)
     is_beyond = is_rim[number] & (aside > edge)
     result: Array = np.where(is_beyond, nearest, np.sign(height) * nearest)
-    close = np.flatnonzero((nearest < BAND_MM) & ~is_beyond)
+    close = np.flatnonzero((nearest < band) & ~is_beyond)
     for start in range(0, len(close), BLOCK):
         block = close[start : start + BLOCK]
         distance, around = tree.query(places[block], k=min(NEIGHBOURS, len(normals)))
@@ -203,6 +216,11 @@ class Experiment:
     torsion: tuple[float, float] = entry(
         "Stiffness [N mm/rad] and rest angle of a spring about the tibial axis"
     )
+    pads: Array = entry(
+        "Places on the tibia that carry an elastic pad, how stiff each is [N/mm] and how high, "
+        "``(q, 5)``"
+    )
+    wide: Callable[[], DistanceGrid] = entry("Makes the grid of distances that pads need")
     femur_turn: Array = entry(
         "Rotation vector from the femoral frame to the one the rig assumes, in the femoral frame"
     )
@@ -222,6 +240,7 @@ class Experiment:
     def arrays(self) -> VirtualKnee:
         """The knee as compiled functions take it."""
         law = np.array([self.modulus, self.exponent])
+        wide = self.wide() if len(self.pads) else self.grid
         return VirtualKnee(
             surface=TibialSurface(points=self.points, areas=self.areas, law=law),
             field=FemurGrid(self.grid.values, self.grid.origin, self.grid.spacing),
@@ -229,6 +248,8 @@ class Experiment:
             weights=self.weights,
             springs=self.springs,
             torsion=np.array(self.torsion),
+            pads=self.pads,
+            wide=FemurGrid(wide.values, wide.origin, wide.spacing),
         )
 
 
@@ -285,6 +306,8 @@ def experiment_of(knee: Knee, protocol: Protocol, exponent: float = EXPONENT) ->
         weights=np.zeros((0, 6)),
         springs=np.zeros((0, 7)),
         torsion=(0.0, 0.0),
+        pads=np.zeros((0, 5)),
+        wide=partial(distance_grid, knee, WIDE_BAND_MM),
         femur_turn=np.zeros(3),
         tibia_turn=np.zeros(3),
         added=np.zeros((protocol.n, 5)),

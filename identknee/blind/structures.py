@@ -17,6 +17,7 @@ from identknee.blind.experiment import (
     TIBIA_END,
     TOE,
     Experiment,
+    distances,
 )
 from identknee.blind.hidden import Draw, Hidden, Scene, hidden, line_row, structure_insertions
 from identknee.runs.arrays import Array
@@ -179,6 +180,49 @@ def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
 
     return hidden(
         "meniscus", ("N/mm", 5.0, 60.0), apply, {"medial_N_per_mm": 1.0, "lateral_N_per_mm": ratio}
+    )
+
+
+# Points that stand for both menisci, how high those may be [mm], how much of the half-axes of a
+# plateau they leave free, and where they are open towards the other plateau, in half-axes.
+N_PADS, HIGHEST_PAD_MM, FREE, OPEN = 300, 7.0, (0.45, 0.65), 0.5
+
+
+def meniscal_wedge(scene: Scene, generator: np.random.Generator) -> Hidden:
+    """Elastic pads around each plateau fill its gap to the femur in the scanned pose.
+
+    Their places are drawn from an ellipse on each plateau, and all are a little higher or lower
+    than the gaps.
+    """
+    R, t = scene.start
+    low, high = scene.places.plateaus[:, 0], scene.places.plateaus[:, 2]
+    middles, halves = 0.5 * (low + high), 0.5 * (high - low)
+    free, ratio = generator.uniform(*FREE), float(generator.uniform(0.5, 1.0))
+    offset, seed = float(generator.normal(0.0, 0.15)), int(generator.integers(2**32))
+
+    def apply(experiment: Experiment, amplitude: float) -> Experiment:
+        points = experiment.points
+        side = (np.abs(points[:, 2] - middles[1, 2]) < np.abs(points[:, 2] - middles[0, 2])) * 1
+        away = (points - middles[side]) / halves[side]
+        inward = away[:, 2] * np.where(side == 0, 1.0, -1.0)
+        gaps = distances(experiment.wide(), points @ R.T + t)
+        may = np.hypot(away[:, 0], away[:, 2]) > free
+        may &= (inward < 0.0) | (np.abs(away[:, 0]) > OPEN)
+        may &= (gaps > 0.0) & (gaps < HIGHEST_PAD_MM)
+        found = np.flatnonzero(may)
+        drawn = np.random.default_rng(seed).permutation(found)[:N_PADS]
+        areas = experiment.areas[drawn] * experiment.areas[found].sum()
+        areas /= experiment.areas[drawn].sum()
+        stiffness = amplitude * areas * np.where(side[drawn] == 0, 1.0, ratio)
+        pads = np.c_[points[drawn], stiffness, gaps[drawn] + offset]
+        return replace(experiment, pads=pads)
+
+    return hidden(
+        "meniscal_wedge",
+        ("N/mm3", 0.2, 4.0),
+        apply,
+        {"medial_stiffness_N_per_mm3": 1.0, "lateral_stiffness_N_per_mm3": ratio},
+        fixed={"offset_mm": (offset, "mm")},
     )
 
 

@@ -68,10 +68,11 @@ def experiment() -> Experiment:
     lines[:, 6] = np.linalg.norm(lines[:, 3:6] + START[1] - lines[:, :3], axis=1)
     lines[:, 7:10] = STIFFNESS_N, STRAIN, TOE
     loads = LOADS[:, [1, 0, 2, 3, 4]] * [1000.0, 1000.0, 1.0, 1.0, 1.0]
+    grid = DistanceGrid(values=np.full((8, 8, 8), 5.0), origin=np.zeros(3), spacing=1.0)
     return Experiment(
         points=np.zeros((1, 3)),
         areas=np.ones(1),
-        grid=DistanceGrid(values=np.full((8, 8, 8), 5.0), origin=np.zeros(3), spacing=1.0),
+        grid=grid,
         start=START,
         lines=lines,
         protocol=protocol(),
@@ -83,6 +84,8 @@ def experiment() -> Experiment:
         weights=np.zeros((0, 6)),
         springs=np.zeros((0, 7)),
         torsion=(0.0, 0.0),
+        pads=np.zeros((0, 5)),
+        wide=lambda: grid,
         femur_turn=np.zeros(3),
         tibia_turn=np.zeros(3),
         added=np.zeros((5, 5)),

@@ -94,7 +94,12 @@ def _knee() -> energy.VirtualKnee:
     lines[1, 10:] = -4.0, 0.4
     weights = np.array([[3.0, -9.0, 2.0, 1.0, -180.0, 2.0]])
     springs = np.array([[0.0, 2.0, 5.0, 1.0, 2.0, 4.0, 20.0]])
-    return energy.VirtualKnee(surface, field, lines, weights, springs, np.array([3000.0, 0.1]))
+    # One pad is pressed, one is not, one lies beside the grid.
+    pads = np.array([[5.0, -10.0, 3.0, 8.0, 2.5], [0.0, -12.5, 6.0, 8.0, 1.0], [0, -40, 0, 8, 2]])
+    torsion = np.array([3000.0, 0.1])
+    return energy.VirtualKnee(
+        surface, field, lines, weights, springs, torsion, pads.astype(float), field
+    )
 
 
 def test_the_gradient_is_the_slope_of_the_energy() -> None:

@@ -29,7 +29,8 @@ def flat_joint() -> energy.VirtualKnee:
     field = energy.FemurGrid(values, np.full(3, -10.0), 1.0)
     torsion = np.array([TORSION_NMM, 0.0])
     lines, weights = np.zeros((0, 12)), np.zeros((0, 6))
-    return energy.VirtualKnee(surface, field, lines, weights, springs, torsion)
+    pads = np.zeros((0, 5))
+    return energy.VirtualKnee(surface, field, lines, weights, springs, torsion, pads, field)
 
 
 def at_rest(load: Array) -> Array:

@@ -10,9 +10,10 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.blind import energy
 from identknee.blind.conditions import Conditions, TruncatedNormal
-from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
-from identknee.blind.experiment import Experiment
+from identknee.blind.effects import BY_NAME, EFFECTS, LISTED, UNLISTED
+from identknee.blind.experiment import DistanceGrid, Experiment
 from identknee.blind.hidden import line_row, structure_insertions
+from identknee.blind.structures import N_PADS
 from identknee.runs.arrays import Array
 
 STRUCTURES = ("anterolateral", "posteromedial", "popliteofibular", "deep_mcl")
@@ -157,6 +158,33 @@ def test_menisci_hold_the_condyles_across_the_plateau_alone() -> None:
         np.testing.assert_allclose(force_of(held, R, moved), wanted, atol=1e-9)
 
 
+def test_pads_fill_the_gaps_around_the_plateaus_and_press_where_they_close() -> None:
+    """A flat plateau of two sides 2 mm below a flat femur: stiffness times area times closing."""
+    x, z = (i.ravel() for i in np.meshgrid(np.arange(-17.0, 18.0), np.r_[-39.0:-5.0, 6.0:38.0]))
+    points = np.c_[x, np.zeros_like(x), z]
+    ticks = 2.0 * np.arange(-30.0, 31.0)
+    nodes = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    wide = DistanceGrid(values=-38.0 - nodes[..., 1], origin=np.full(3, -60.0), spacing=2.0)
+    bare = replace(experiment(), points=points, areas=np.ones(len(points)), wide=lambda: wide)
+    hidden = drawn("meniscal_wedge")
+    pads, told = hidden.apply(bare, 0.5).pads, numbers(hidden, 0.5)
+    assert len(pads) == N_PADS
+    np.testing.assert_allclose(pads[:, 4], 2.0 + told["offset_mm"])
+    assert told["medial_stiffness_N_per_mm3"] == 0.5
+    assert 0.25 <= told["lateral_stiffness_N_per_mm3"] <= 0.5
+    for sign, middle in ((-1.0, 22.5), (1.0, 21.5)):
+        away = np.c_[pads[:, 0], sign * pads[:, 2] - middle][sign * pads[:, 2] > 0.0]
+        assert np.linalg.norm(away, axis=1).min() > 0.45 * 16.0
+        # Around, but open to the inside.
+        assert (away.max(axis=0) > 10.0).all()
+        assert away.min(axis=0)[0] < -10.0
+        assert not ((away[:, 1] < 0.0) & (np.abs(away[:, 0]) < 0.5 * 18.0)).any()
+    closed = START[1] + [0.0, 0.5, 0.0]
+    push = pads[:, 3].sum() * (0.5 + told["offset_mm"])
+    pushed = force_of(replace(bare, pads=pads), START[0], closed)
+    np.testing.assert_allclose(pushed, [0.0, -push, 0.0], atol=1e-6 * push)
+
+
 def test_the_rotational_spring_resists_either_way_in_newton_metres_a_degree() -> None:
     hidden = drawn("rotational_spring")
     held, told = hidden.apply(experiment(), 0.2), numbers(hidden, 0.2)
@@ -289,7 +317,8 @@ def test_pressure_is_a_power_of_depth_that_knows_its_modulus_at_three_tenths(
     field = (values, np.full(3, -6.0), 1.0)
     for depth in (0.1, 0.3, 0.9):
         surface = (np.array([[0.0, -depth, 0.0]]), np.array([2.0]), np.array([8.6, exponent]))
-        knee = (surface, field, np.zeros((0, 12)), np.zeros((0, 6)), np.zeros((0, 7)), np.zeros(2))
+        nothing = (np.zeros((0, 12)), np.zeros((0, 6)), np.zeros((0, 7)), np.zeros(2))
+        knee = (surface, field, *nothing, np.zeros((0, 5)), field)
         slope, touching = np.empty(5), np.empty(1, np.int64)
         found, n = energy.energy_of(
             np.eye(3), np.zeros(3), np.zeros(5), knee, np.zeros(1, np.int64), slope, touching
@@ -314,4 +343,5 @@ def test_the_law_of_a_line_is_that_of_the_oracle_away_from_its_rounded_ends() ->
 
 def test_the_lists_say_what_a_library_can_name() -> None:
     assert not set(LISTED) & set(UNLISTED)
+    assert not set(BY_NAME) & {*LISTED, *UNLISTED}
     assert len(LISTED) == 27
