@@ -2,7 +2,7 @@ from .bone_wraps import with_wraps as with_wraps
 from .capsule import with_capsule as with_capsule
 from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
-from .knee import Ligament as Ligament
+from .ligament import Ligament as Ligament
 from .menisci import with_menisci as with_menisci
 from .obstacle import Obstacle as Obstacle
 from .opensim_export import write_opensim as write_opensim

@@ -11,7 +11,8 @@ import numpy as np
 
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.subject.knee import Frame, Knee, Ligament
+from identknee.subject.knee import Frame, Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
 CompartmentSide = Literal["medial", "lateral"]

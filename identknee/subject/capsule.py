@@ -22,7 +22,8 @@ from types import MappingProxyType
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.insertion_sites import capsule_sites
-from identknee.subject.knee import Knee, Ligament, LigamentGroup, StatedPrior
+from identknee.subject.knee import Knee, StatedPrior
+from identknee.subject.ligament import Ligament, LigamentGroup
 
 
 @declared

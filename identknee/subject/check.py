@@ -15,12 +15,12 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity, by_severity, finding
 from identknee.subject.knee import (
     Knee,
-    Ligament,
     angle_between,
     ankle_centre,
     frames_from_landmarks,
     joint_centre,
 )
+from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
 # Lengths in mm below which a knee's dimensions can only be metres.

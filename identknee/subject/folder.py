@@ -37,12 +37,11 @@ from identknee.subject.knee import (
     Knee,
     KnownPose,
     Landmark,
-    Ligament,
-    LigamentGroup,
     StatedPrior,
     Uncertainty,
     frames_from_landmarks,
 )
+from identknee.subject.ligament import Ligament, LigamentGroup
 from identknee.subject.menisci import STIFFNESS, with_menisci
 from identknee.subject.obstacle import Obstacle
 from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable

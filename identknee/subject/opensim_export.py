@@ -16,7 +16,8 @@ from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.examples import opensim_file
-from identknee.subject.knee import Frame, Knee, Ligament
+from identknee.subject.knee import Frame, Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.opensim import (
     LIGAMENT_CLASS,
     MERGED,

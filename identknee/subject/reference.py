@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.examples import REFERENCE
-from identknee.subject.knee import Frame, Knee, Ligament
+from identknee.subject.knee import Frame, Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface, joined
 
 ComplexArray = NDArray[np.complex128]

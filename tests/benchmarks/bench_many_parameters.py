@@ -14,7 +14,8 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.executors import one_library_thread
 from identknee.subject.examples import FOLDER
-from identknee.subject.knee import Knee, LigamentGroup
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import LigamentGroup
 from identknee.subject.opensim import import_opensim
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.isolability import diagnose

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import identknee as ik
-from identknee.subject.knee import LigamentGroup
+from identknee.subject.ligament import LigamentGroup
 
 
 def bundled_knee() -> ik.Knee:

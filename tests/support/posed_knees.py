@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from identknee.runs.arrays import Array
 from identknee.subject.folder import write_subject
-from identknee.subject.knee import Frame, Knee, Ligament, Side
+from identknee.subject.knee import Frame, Knee, Side
+from identknee.subject.ligament import Ligament
 from identknee.subject.reference import reference_knee
 
 NAMES = ("cruciate_front", "cruciate_back", "outer", "inner")

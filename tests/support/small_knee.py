@@ -12,7 +12,8 @@ from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Frame, Knee, Ligament
+from identknee.subject.knee import Frame, Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface, joined
 
 CENTRES = np.array([[0.0, 0.5, -9.0], [0.8, 1.0, 9.5]])

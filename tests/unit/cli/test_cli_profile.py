@@ -10,7 +10,7 @@ from held import both_of, fixing
 from scipy.stats import chi2
 
 import identknee as ik
-from identknee.subject.knee import LigamentGroup
+from identknee.subject.ligament import LigamentGroup
 
 # What stays free beside the two costs time and changes nothing that is asked here.
 HELD = fixing(both_of("ACL", "PCL", "MCL"))

@@ -15,7 +15,8 @@ from identknee.model.effects.library import effect_named
 from identknee.model.effects.loads import compression
 from identknee.model.effects.tissues import bundles
 from identknee.model.laxity_model import LaxityModel
-from identknee.subject.knee import Knee, Ligament
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
 
 SD = 0.3
 

@@ -25,7 +25,8 @@ from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
 from identknee.runs.arrays import Array
-from identknee.subject.knee import Knee, Ligament, Uncertainty
+from identknee.subject.knee import Knee, Uncertainty
+from identknee.subject.ligament import Ligament
 
 EVERYTHING = Uncertainty(
     insertions_mm=2.0,

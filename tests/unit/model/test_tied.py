@@ -7,7 +7,8 @@ from small_knee import small_knee, small_protocol
 
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameter_groups import tied
-from identknee.subject.knee import Knee, LigamentGroup
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import LigamentGroup
 
 
 def grouped() -> Knee:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identknee.subject.knee import Ligament
+from identknee.subject.ligament import Ligament
 
 LINE = Ligament(
     name="ACL",

@@ -9,7 +9,8 @@ from small_knee import small_knee
 
 from identknee.runs.errors import InputError
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.knee import KnownPose, LigamentGroup
+from identknee.subject.knee import KnownPose
+from identknee.subject.ligament import LigamentGroup
 from identknee.verbs.verb import knee_digest
 
 FRONT = LigamentGroup(name="cruciates", members=("front", "back"))

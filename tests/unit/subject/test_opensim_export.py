@@ -10,7 +10,8 @@ from osim_files import write_model
 
 from identknee.runs.errors import InputError
 from identknee.subject.folder import example
-from identknee.subject.knee import Knee, Ligament
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
 from identknee.subject.opensim import import_opensim
 from identknee.subject.opensim_export import write_opensim
 from identknee.subject.reference import reference_knee

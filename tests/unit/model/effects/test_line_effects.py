@@ -14,7 +14,8 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.subject.anatomy import anatomy
-from identknee.subject.knee import Knee, Ligament
+from identknee.subject.knee import Knee
+from identknee.subject.ligament import Ligament
 
 
 @pytest.fixture
