@@ -430,7 +430,8 @@ class TableRow:
         """
         value = self.number(column)
         if value is None:
-            self.refuse(column, "the cell is blank", "Write a number, 0 if it is zero.")
+            remedy = "Write a number in every row, also where cells were merged: 0 if it is zero."
+            self.refuse(column, "the cell is blank", remedy)
         return value
 
     def refuse(self, column: str, why: str, remedy: str) -> NoReturn:

@@ -8,7 +8,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from enum import Enum
 from functools import cache
@@ -98,6 +98,21 @@ def temporary_path_beside(path: PathLike) -> Path:
     """
     target = Path(path)
     return target.with_name(f".{target.name[:100]}.{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+def whatever_case(folder: Path, parts: Sequence[str]) -> Path | None:
+    """The file below a folder, its parts as written or else in another case; None without one."""
+    if not parts:
+        return folder if folder.is_file() else None
+    if (folder / parts[0]).exists() or parts[0] == "..":
+        return whatever_case(folder / parts[0], parts[1:])
+    try:
+        names = sorted(x.name for x in folder.iterdir())
+    except OSError:
+        return None
+    alike = [x for x in names if x.casefold() == parts[0].casefold()]
+    ways = (whatever_case(folder / x, parts[1:]) for x in alike)
+    return next((x for x in ways if x is not None), None)
 
 
 def check_readable(path: PathLike, limit_mb: float = 512) -> Path:

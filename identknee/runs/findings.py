@@ -503,6 +503,12 @@ _ALL = (
         "Give each surface its own file.",
     ),
     _geometry(
+        "ligaments-exchanged",
+        ERROR,
+        "Insertions are on the other bone, or a collateral ligament is on the other side.",
+        "Exchange the names of MCL and LCL, or mirror the insertions as the surfaces are.",
+    ),
+    _geometry(
         "stiffness-impossible", ERROR, "No ligament has a stiffness near the stated one.", DIVIDE
     ),
     _geometry(

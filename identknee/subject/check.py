@@ -32,6 +32,8 @@ LEG_IN_METRES = 2.0
 LEAST_FEMUR, LONGEST = 25.0, 1000.0
 # Two surfaces that share this part of the smaller one's vertices are not two.
 SHARED = 0.5
+# A collateral ligament so far on the other side of the joint [mm] is the other one.
+WRONG_BY = 10.0
 FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
 WIDEST_GAP = 3.0
@@ -109,6 +111,7 @@ def fatal_geometry_findings(knee: Knee) -> tuple[GeometryFinding, ...]:
         or tuple(_impossible(knee))
         or tuple(_wrong_side(knee))
         or tuple(_flipped_surfaces(knee))
+        or tuple(_exchanged_ligaments(knee))
     )
 
 
@@ -260,6 +263,30 @@ def _flipped_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
         if component < 0.0:
             sentence = "Its normals point into the bone where it faces the joint."
             yield geometry_finding("normals-inward", name, sentence, {"upward": component})
+
+
+COLLATERALS = {"MCL": ("mcl", "smcl", "dmcl"), "LCL": ("lcl",)}
+
+
+def _exchanged_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
+    """Ligaments whose ends are on the other bone, and collaterals on the other side."""
+    up = knee.tibia_frame.axes[1]
+    if knee.ligaments and all((x.femur - x.tibia) @ up < 0.0 for x in knee.ligaments):
+        sentence = "All femoral insertions lie below the tibial ones."
+        remedy = "Exchange femur and tibia of all ligaments."
+        yield geometry_finding("ligaments-exchanged", "ligaments", sentence, remedy=remedy)
+        return
+    medial, lateral = (x.centroid for x in knee.tibia)
+    across = (lateral - medial) / np.linalg.norm(lateral - medial)
+    middle = (lateral + medial) / 2.0
+    for name, sign in (("MCL", -1.0), ("LCL", 1.0)):
+        own = [x for x in knee.ligaments if x.name.lower().startswith(COLLATERALS[name])]
+        ends = [(x.femur + x.tibia) / 2.0 for x in own]
+        off = sign * float((np.mean(ends, axis=0) - middle) @ across) if ends else 0.0
+        if off < -WRONG_BY:
+            side = "lateral" if name == "MCL" else "medial"
+            sentence = f"The {name} lies {-off:.0f} mm to the {side} side of the joint's middle."
+            yield geometry_finding("ligaments-exchanged", _of(own[0]), sentence, {"off_mm": -off})
 
 
 def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, StringConstraints, create_model, mod
 
 from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
 from identknee.runs.errors import InputError, ValueRefused
-from identknee.runs.files import PathLike, prepare_folder, write_atomically
+from identknee.runs.files import PathLike, prepare_folder, whatever_case, write_atomically
 from identknee.runs.progress import progress
 from identknee.runs.schema import (
     Fault,
@@ -547,11 +547,19 @@ def write_subject(knee: Knee, folder: PathLike) -> Path:
     return target
 
 
+def _surface_file(folder: Path, name: str) -> Path:
+    """The file of a surface: also where its name is one of Windows, or in another case."""
+    if (folder / name).is_file():
+        return folder / name
+    parts = [x for x in name.replace("\\", "/").split("/") if x not in ("", ".")]
+    return whatever_case(folder, parts) or folder / name
+
+
 def _read(file: Path) -> Knee:
     tables = read_tables(file)
     named = tables.surfaces.model_dump(exclude_none=True)
     meshes = {
-        name: read_surface(file.parent / x)
+        name: read_surface(_surface_file(file.parent, x))
         for name, x in progress(list(named.items()), description="reading the surfaces")
     }
     return _knee(tables, file, meshes, read_fitted(file.parent) if file.name == FILE else {})

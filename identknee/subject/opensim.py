@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
-from identknee.runs.files import PathLike
+from identknee.runs.files import PathLike, whatever_case
 from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
@@ -635,28 +635,13 @@ def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
     folder = model.path.parent
     parts = [x for x in name.replace("\\", "/").split("/") if x not in ("", ".")]
     for way in (parts, ["Geometry", *parts], ["Geometry", *parts[-1:]], parts[-1:]):
-        if parts and (found := _whatever_case(folder, way)) is not None:
+        if parts and (found := whatever_case(folder, way)) is not None:
             return found
     raise model.refusal(
         f"contact mesh {mesh.get('name')}",
         f"its file {name or '(no name)'} is neither beside the model nor in Geometry",
         "Copy the mesh there.",
     )
-
-
-def _whatever_case(folder: Path, parts: Sequence[str]) -> Path | None:
-    """The file below a folder, its parts as written or else in another case; None without one."""
-    if not parts:
-        return folder if folder.is_file() else None
-    if (folder / parts[0]).exists() or parts[0] == "..":
-        return _whatever_case(folder / parts[0], parts[1:])
-    try:
-        names = sorted(x.name for x in folder.iterdir())
-    except OSError:
-        return None
-    alike = [x for x in names if x.casefold() == parts[0].casefold()]
-    ways = (_whatever_case(folder / x, parts[1:]) for x in alike)
-    return next((x for x in ways if x is not None), None)
 
 
 # Axes of a bone that are farther off those wanted [cosine] are other axes.

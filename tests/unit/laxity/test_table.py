@@ -150,11 +150,17 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
         ),
         (
             "a,,5,1,1",
-            ", row 2, column flexion_deg: the cell is blank. Write a number, 0 if it is zero.",
+            (
+                ", row 2, column flexion_deg: the cell is blank. Write a number in every row, also "
+                "where cells were merged: 0 if it is zero."
+            ),
         ),
         (
             "a,30,,1,1",
-            ", row 2, column varus_moment_Nm: the cell is blank. Write a number, 0 if it is zero.",
+            (
+                ", row 2, column varus_moment_Nm: the cell is blank. Write a number in every row, "
+                "also where cells were merged: 0 if it is zero."
+            ),
         ),
         (
             ",30,5,1,1",

@@ -249,3 +249,27 @@ def test_a_surface_that_holds_another_is_named(knee: Knee) -> None:
     femur = Surface(vertices=single[::-1], faces=len(single) - 1 - knee.femur.faces)
     (found,) = fatal_geometry_findings(replace(knee, tibia=(femur, knee.tibia[1])))
     assert found.sentence == "femur and tibia_medial are the same surface."
+
+
+def test_ligaments_on_the_other_side_or_bone_are_named(knee: Knee) -> None:
+    mirror = np.array([1.0, 1.0, -1.0])
+    mirrored = [replace(x, femur=x.femur * mirror, tibia=x.tibia * mirror) for x in knee.ligaments]
+    names = {"MCL": "LCL", "LCL": "MCL"}
+    renamed = [replace(x, name=names.get(x.name, x.name)) for x in knee.ligaments]
+    turned = [replace(x, femur=x.tibia, tibia=x.femur) for x in knee.ligaments]
+    for ligaments, where in (
+        (mirrored, ["ligament MCL", "ligament LCL"]),
+        (renamed, ["ligament LCL", "ligament MCL"]),
+        ([x for x in renamed if x.name != "LCL"], ["ligament MCL"]),
+        (turned, ["ligaments"]),
+    ):
+        found = fatal_geometry_findings(replace(knee, ligaments=tuple(ligaments)))
+        assert {x.code for x in found} == {"ligaments-exchanged"}
+        assert sorted(x.where for x in found) == sorted(where)
+
+
+def test_ligaments_in_their_places_are_sound() -> None:
+    for name in ("lenhart2015", "lenhart2015_stable", "s192803", "s192803_bundles", "reference"):
+        assert fatal_geometry_findings(example(name)) == ()
+    for seed in (1, 2):
+        assert fatal_geometry_findings(posed_reference(seed)) == ()

@@ -285,3 +285,17 @@ def test_the_wrong_side_with_landmarks(tmp_path: Path, side: Side, other: Side) 
     file.write_text(file.read_text().replace(f'side = "{side}"', f'side = "{other}"'))
     message = refused(folder)
     assert f'Write side = "{side}"' in message
+
+
+@pytest.mark.parametrize("name", [".\\\\Femur.PLY", "FEMUR.ply", "C:\\\\meshes\\\\..\\\\femur.ply"])
+def test_a_surface_may_have_a_name_of_windows_or_in_another_case(tmp_path: Path, name: str) -> None:
+    knee = reference_knee(3.0, femur_edge_mm=3.0)
+    write_subject(knee, tmp_path)
+    file = tmp_path / "subject.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace('"femur.ply"', f'"{name}"'), encoding="utf-8")
+    if name.startswith("C"):
+        with pytest.raises(InputError, match="no such file"):
+            read_subject(tmp_path)
+    else:
+        assert len(read_subject(tmp_path).femur.faces) == len(knee.femur.faces)
