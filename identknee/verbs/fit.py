@@ -205,7 +205,7 @@ def predicted(
         Parameters that were not fitted.
     """
     problem, data, theta = fitted
-    covariance, noise, degrees = _uncertainty(problem, data, theta, fixed)
+    covariance, noise, degrees = prediction_uncertainty(problem, data, theta, fixed)
     model = LaxityModel(
         knee=knee, protocol=measured.protocol, order=measured.order, phase=measured.phase
     )
@@ -213,6 +213,8 @@ def predicted(
     if found.jacobian is None:  # pragma: no cover - it was asked for
         raise AssertionError
     spread = np.einsum("nip,pq,niq->ni", found.jacobian, covariance, found.jacobian)
+    if residuals_of(problem).weighting == "noise" and measured.sd is not None:
+        noise = noise * measured.sd
     sd = np.sqrt(spread + noise**2)
     values = tuple(
         HeldValue(
@@ -227,13 +229,14 @@ def predicted(
     return HeldOut(values=values, degrees_of_freedom=degrees)
 
 
-def _uncertainty(
-    problem: Problem, data: Laxity, theta: Array, fixed: Sequence[str]
+def prediction_uncertainty(
+    problem: Problem, data: Laxity, theta: Array, fixed: Sequence[str] = ()
 ) -> tuple[Array, Array, float]:
     """Covariance of the parameters, noise by coordinate (5,), its degrees of freedom.
 
     The noise of lengths and that of angles are what the fit leaves over their own degrees of
-    freedom. A parameter without a prior is known to lie within its bounds.
+    freedom, in the unit of the residuals: mm and deg, or the stated noise. A parameter without a
+    prior is known to lie within its bounds.
     """
     parameters, at = problem.parameters, evaluate(problem, theta)
     is_angle = np.isin(np.nonzero(data.is_measured)[1], np.arange(5)[ROTATIONS]).astype(int)

@@ -70,3 +70,14 @@ def test_intervals_hold_what_they_say() -> None:
     # 90 values: 90 % of them within 3.2 standard errors, nine in ten of the noise being theirs.
     assert 0.8 <= np.mean(inside) <= 1.0
     assert 0.1 < min(sds) < 0.4
+
+
+@pytest.mark.parametrize("noise", ["0.2mm,0.2deg", "0.1mm,0.1deg"])
+def test_intervals_are_in_mm_and_deg_where_the_noise_is_stated(noise: str) -> None:
+    plain = ik.fit(small_knee(), noisy(1), hold_out=HELD).held_out
+    stated = ik.fit(small_knee(), noisy(1), hold_out=HELD, noise=noise).held_out
+    assert plain is not None
+    assert stated is not None
+    # Noise of one size is what the fit leaves, whatever size was stated.
+    sds = [x.sd for x in plain.values]
+    assert [x.sd for x in stated.values] == pytest.approx(sds, rel=1e-3)
