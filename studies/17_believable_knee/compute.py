@@ -1,0 +1,370 @@
+"""Slow part of the study: a measured knee fitted with and without what is known of every knee.
+
+Writes ``records/believable_knee.json`` after each part. Finished work is kept in a store outside
+the checkout, so that the same command resumes where it was stopped.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+from common.records import Row, begun, parsed_options, rounded, say, working, write_record
+from predictions import (
+    JUDGED,
+    FittedModel,
+    Value,
+    changes,
+    predicted,
+    second_device,
+    values,
+)
+
+import identknee as ik
+from identknee.calibrate.problem import evidence_terms, misfit_square
+from identknee.checks.fit_checks import implausible_findings
+from identknee.checks.usable_trials import TrialSearch, table_model
+from identknee.laxity.protocol import LOADS, dominant_loads
+from identknee.model.contact_loads import contact_values
+from identknee.model.discrepancy import SmoothDiscrepancy
+from identknee.model.line_loads import strains_of, tensions_of
+from identknee.runs.arrays import Array
+from identknee.runs.executors import serial
+from identknee.subject.knee import EffectChoice, with_stated_uncertainty
+from identknee.subject.plausibility import strengths_by_name
+from identknee.verbs.fit import split
+from identknee.verbs.identification import best_fits, identification, with_noise
+
+KNEES = ("s192803", "s192803_bundles")
+LINES, BUNDLES = KNEES
+WRONG_ROW = "Valgus_60"
+NOISE = "1mm,1.5deg"
+UNCERTAIN = "registration=4deg,registration=4mm,insertions=4mm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A way to fit the knee."""
+
+    plausible: str = "none"
+    uncertain: str = UNCERTAIN
+    discrepancy: str = "none"
+
+
+PLAIN, LIMITS, BONE = "plain", "limits", "limits, on the bone"
+ERROR, BOTH = "error of the model", "limits and error of the model"
+VARIANTS: Mapping[str, Variant] = {
+    PLAIN: Variant(),
+    LIMITS: Variant(plausible="default"),
+    BONE: Variant(plausible="default", uncertain=f"{UNCERTAIN},insertions_normal=2mm"),
+    ERROR: Variant(discrepancy="smooth"),
+    BOTH: Variant(plausible="default", discrepancy="smooth"),
+}
+# Sheets of the capsule are parts of the knee, all others effects whose amplitudes are fitted.
+CAPSULE = "capsule"
+STRUCTURES: Mapping[str, tuple[str, ...]] = {
+    LINES: (
+        "meniscus",
+        "mcl_wrapping",
+        CAPSULE,
+        "deep_mcl",
+        "popliteofibular",
+        "posteromedial",
+        "anterolateral",
+        "posterior_capsule",
+    ),
+    BUNDLES: ("meniscus", "mcl_wrapping"),
+}
+# Trials held out: the first are all but anterior, posterior, varus and valgus at 0 and 90 deg.
+FIRST_SPLIT = "loads and angles"
+SPLITS: Mapping[str, tuple[str, ...]] = {
+    FIRST_SPLIT: ("*_30", "*_60", "Internal*", "External*", "FullExt*"),
+    "0 deg": ("*_0",),
+}
+PREDICTING = (PLAIN, LIMITS, BOTH, ERROR)
+PROFILED = (PLAIN, LIMITS, BOTH)
+# How well a laboratory would measure a force [N].
+FORCE_SD, CONTACT_SD = 5.0, 20.0
+DIGITS = 6
+
+
+def main() -> None:
+    """Compute what the store does not hold yet and write the record."""
+    options = parsed_options(__file__)
+    record = begun(options, KNEES, noise=NOISE, uncertain=UNCERTAIN, splits=SPLITS)
+    record["knees"] = {x: {} for x in KNEES}
+    began = time.perf_counter()
+    with working(options, inputs=record["head"]["inputs"]) as kept:
+
+        def done(part: str, work: Callable[[Row], Row], tasks: list[Row]) -> None:
+            rows = kept(work, tasks, part)
+            for knee in KNEES:
+                record["knees"][knee][part] = [x for x in rows if x["knee"] == knee]
+            record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
+            write_record(options.record, record)
+            say(f"written: {options.record.name}, {part}")
+
+        done("fits", fitted, [{"knee": k, "variant": x} for k in KNEES for x in VARIANTS])
+        of_limits = {
+            k: next(x for x in record["knees"][k]["fits"] if x["variant"] == LIMITS) for k in KNEES
+        }
+        done(
+            "structures",
+            extended,
+            [
+                {"knee": k, "structure": x, "start": of_limits[k]["theta"]}
+                for k in KNEES
+                for x in STRUCTURES[k]
+            ],
+        )
+        done(
+            "held_out",
+            held_out,
+            [
+                {"knee": k, "split": s, "variant": x}
+                for k in KNEES
+                for s in SPLITS
+                for x in PREDICTING
+            ],
+        )
+        done("profiles", profiled, [{"knee": LINES, "variant": x} for x in PROFILED])
+
+
+def table(*, with_held_out: bool = True) -> ik.Laxity:
+    """The measured laxity with its noise; the cells of the row that cannot be right are blank."""
+    laxity = ik.example_laxity("s192803")
+    coordinates = np.array(laxity.coordinates)
+    coordinates[laxity.protocol.trials.index(WRONG_ROW)] = np.nan
+    laxity = replace(laxity, coordinates=coordinates)
+    if not with_held_out:
+        laxity = laxity.select(np.flatnonzero(laxity.is_measured.any(axis=1)))
+    return with_noise(laxity, NOISE)
+
+
+def knee_of(name: str, variant: Variant, structure: str = "") -> ik.Knee:
+    """The subject as a variant takes it, with one structure more if asked."""
+    knee = ik.example(name)
+    if structure == CAPSULE:
+        knee = ik.subject.with_capsule(knee)
+    elif structure:
+        knee = knee.with_effects([EffectChoice(name=structure)])
+    stated = with_stated_uncertainty(knee.uncertainty, variant.uncertain)
+    return knee.with_uncertainty(stated).with_plausibility(variant.plausible)
+
+
+def fitted(task: Row) -> Row:
+    """A fit to all trials but the wrong row, and what it predicts of the other device."""
+    began = time.process_time()
+    variant = VARIANTS[task["variant"]]
+    knee, laxity = knee_of(task["knee"], variant), table()
+    if variant.discrepancy == "none":
+        found = ik.fit(knee, laxity, **settings(variant))
+        end = ended(knee, laxity, found.search.theta)
+        row = {**described(end), **how(found)}
+    else:
+        end = fitted_with_error(knee, laxity, variant.discrepancy)
+        row = described(end)
+    other = second_device()
+    row["second_device"] = rounded(changes(predicted(end, other.protocol), other), DIGITS)
+    return {**task, **row, "seconds": rounded(time.process_time() - began, 3)}
+
+
+def extended(task: Row) -> Row:
+    """A fit with limits and one structure more, begun at that without the structure."""
+    began = time.process_time()
+    variant = VARIANTS[LIMITS]
+    knee, laxity = knee_of(task["knee"], variant, task["structure"]), table()
+    found = ik.fit(knee, laxity, start=task["start"], **settings(variant))
+    row = {**described(ended(knee, laxity, found.search.theta)), **how(found)}
+    named = {"knee": task["knee"], "structure": task["structure"]}
+    return {**named, **row, "seconds": rounded(time.process_time() - began, 3)}
+
+
+def held_out(task: Row) -> Row:
+    """A fit without some trials, and its prediction of these."""
+    began = time.process_time()
+    variant, laxity = VARIANTS[task["variant"]], table(with_held_out=False)
+    knee, names = knee_of(task["knee"], variant), SPLITS[task["split"]]
+    seen, is_held = split(laxity, names)
+    kept = laxity.select(is_held)
+    if variant.discrepancy == "none":
+        found = ik.fit(knee, laxity, hold_out=names, **settings(variant))
+        if found.held_out is None:
+            raise AssertionError
+        made: list[Value] = [
+            [x.trial, x.coordinate, x.measured, x.predicted, x.sd] for x in found.held_out.values
+        ]
+        degrees: float | None = found.held_out.degrees_of_freedom
+        error = found.rmse.by_coordinate
+    else:
+        end = fitted_with_error(knee, seen, variant.discrepancy)
+        made, degrees = values(predicted(end, kept.protocol), kept), None
+        error = rmse_of(end)
+    row = {
+        "n_trials": int(is_held.sum()),
+        "degrees_of_freedom": degrees,
+        "rmse": error,
+        "values": made,
+        "judged": [x for x in made if JUDGED.get(str(x[0]).split("_")[0]) == x[1]],
+        "seconds": time.process_time() - began,
+    }
+    return {**task, **rounded(row, DIGITS)}
+
+
+def profiled(task: Row) -> Row:
+    """The interval of every parameter, and what makes its ends."""
+    began = time.process_time()
+    variant = VARIANTS[task["variant"]]
+    found = ik.profile(
+        knee_of(task["knee"], variant),
+        table(),
+        discrepancy=variant.discrepancy,
+        **settings(variant),
+    )
+    row = {
+        "deviance": found.deviance,
+        "conditional_on_misfit": found.conditional_on_misfit,
+        "parameters": {
+            name: {
+                "best": found.optimum_by_name[name],
+                "ends": [x.lower, x.upper],
+                "made_by": [x.lower_side.origin, x.upper_side.origin],
+                "status": [x.lower_side.status.value, x.upper_side.status.value],
+                "verdict": x.verdict.value,
+            }
+            for name, x in found.parameters.items()
+        },
+        "seconds": time.process_time() - began,
+    }
+    return {**task, **rounded(row, DIGITS)}
+
+
+def settings(variant: Variant) -> dict[str, Any]:
+    """What a verb is asked for."""
+    return {
+        "noise": NOISE,
+        "uncertain": variant.uncertain,
+        "plausible": variant.plausible,
+    }
+
+
+def ended(
+    knee: ik.Knee, laxity: ik.Laxity, theta: Array, error: SmoothDiscrepancy | None = None
+) -> FittedModel:
+    """The model of the data where a fit ended."""
+    model, _ = table_model(knee, laxity)
+    trials = TrialSearch(model=model, laxity=laxity, weighting="noise", bounds={})
+    return FittedModel(
+        model=model, laxity=laxity, theta=theta, problem=trials.problem(laxity), error=error
+    )
+
+
+def fitted_with_error(knee: ik.Knee, laxity: ik.Laxity, discrepancy: str) -> FittedModel:
+    """The lowest fit that averages over a smooth error of the model."""
+    setup = identification(knee, laxity, discrepancy=discrepancy)
+    fits = best_fits(setup, seed=0, executor=serial)
+    return FittedModel(
+        model=setup.model,
+        laxity=setup.laxity,
+        theta=setup.free.expand(fits[0].theta),
+        problem=setup.problem,
+        error=setup.discrepancy,
+    )
+
+
+def described(end: FittedModel) -> Row:
+    """What a fit is, as far as its parameters say: they alone are kept to all digits."""
+    parameters = end.problem.parameters
+    row: Row = {
+        "n_parameters": int(parameters.is_of_interest.sum()),
+        "n_nuisances": len(parameters.nuisance_names),
+        **at_fit(end),
+    }
+    if end.error is not None:
+        row["error"] = {
+            "sd": end.error.sd,
+            "lengths": [end.error.flexion_length, end.error.load_length],
+            "chi_square": misfit_square(end.problem, end.theta),
+        }
+    theta = dict(zip(parameters.names, end.theta.tolist(), strict=True))
+    return {**rounded(row, DIGITS), "theta": theta}
+
+
+def at_fit(end: FittedModel) -> Row:
+    """Deviance, errors, forces and contact at the parameters of a fit, without any search."""
+    plain = ended(end.model.knee, end.laxity, end.theta)
+    terms = evidence_terms(plain.problem, end.theta)
+    model = plain.model
+    prediction = model.predict(end.theta, derivatives=False)
+    tension, strain = tensions_of(model, prediction), strains_of(model, prediction)
+    names = [x.name for x in model.knee.ligaments]
+    strengths = strengths_by_name(model.knee.donor_age)
+    groups = {
+        name: [k for k, x in enumerate(names) if x.startswith(name)]
+        for name in strengths
+        if any(x.startswith(name) for x in names)
+    }
+    contact = contact_values(prediction)[:, :, 0]
+    is_straight = dominant_loads(model.protocol).axis != LOADS.index("varus_moment_Nm")
+    measured = end.laxity.is_measured.any(axis=1)
+    counts = is_straight & prediction.is_converged & measured
+    taut = np.where(tension > 0.0, strain, np.nan)
+    findings = implausible_findings(model, prediction)
+    return {
+        "trials": list(model.protocol.trials),
+        "n_with_equilibrium": int(prediction.is_converged[measured].sum()),
+        "chi_square": misfit_square(plain.problem, end.theta),
+        "terms": {x.name: x.deviance for x in terms},
+        "rmse": rmse_of(plain),
+        "contact_N": contact,
+        "mean_contact_N": contact[counts].mean(axis=0),
+        "forces_N": {x: tension[:, own].sum(axis=1) for x, own in groups.items()},
+        "strengths_N": {x: list(strengths[x][:2]) for x in groups},
+        "largest_strain_pct": {
+            x: float(np.nanmax(own)) if np.isfinite(own).any() else None
+            for x, own in zip(names, taut.T, strict=True)
+        },
+        "implausible": [{"sentence": x.sentence} for x in findings],
+    }
+
+
+def rmse_of(end: FittedModel) -> Array:
+    """Root-mean-square error of each coordinate over the trials measured."""
+    off = end.model.predict(end.theta, derivatives=False).coordinates - end.laxity.coordinates
+    return np.asarray(np.sqrt(np.nanmean(off**2, axis=0)))
+
+
+def how(found: ik.Calibration) -> Row:
+    """How a fit ended, and what the limits cost."""
+    price = found.plausibility
+    row: Row = {
+        "outcome": found.outcome.value,
+        "trials_used": len(found.trials_used),
+        "n_as_good": len(found.optima),
+    }
+    if price is not None:
+        row["price"] = {
+            "price": price.price,
+            "of_data": price.of_data,
+            "limits": [
+                {
+                    "name": x.limit.name,
+                    "value": x.limit.value,
+                    "deviance": x.limit.deviance,
+                    "drop_one": x.drop_one,
+                    "alone": x.alone,
+                    "value_without": x.value_without,
+                }
+                for x in price.limits
+            ],
+        }
+    return dict(rounded(row, DIGITS))
+
+
+if __name__ == "__main__":
+    main()
