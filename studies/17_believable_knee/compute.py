@@ -18,7 +18,6 @@ from common.records import Row, begun, parsed_options, rounded, say, working, wr
 from predictions import (
     JUDGED,
     FittedModel,
-    Value,
     changes,
     predicted,
     second_device,
@@ -29,14 +28,17 @@ import identknee as ik
 from identknee.calibrate.problem import evidence_terms, misfit_square
 from identknee.checks.fit_checks import implausible_findings
 from identknee.checks.usable_trials import TrialSearch, table_model
+from identknee.identify.design import mean_narrowing
+from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.protocol import LOADS, dominant_loads
-from identknee.model.contact_loads import contact_values
+from identknee.model.candidate_laxity import CONTACT_SD, TENSION_SD
+from identknee.model.contact_loads import COMPARTMENTS, contact_values
 from identknee.model.discrepancy import SmoothDiscrepancy
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.runs.arrays import Array
 from identknee.runs.executors import serial
 from identknee.subject.knee import EffectChoice, with_stated_uncertainty
-from identknee.subject.plausibility import strengths_by_name
+from identknee.subject.plausibility import CONTACT, strengths_by_name
 from identknee.verbs.fit import split
 from identknee.verbs.identification import best_fits, identification, with_noise
 
@@ -86,10 +88,17 @@ SPLITS: Mapping[str, tuple[str, ...]] = {
     FIRST_SPLIT: ("*_30", "*_60", "Internal*", "External*", "FullExt*"),
     "0 deg": ("*_0",),
 }
-PREDICTING = (PLAIN, LIMITS, BOTH, ERROR)
+PREDICTING = (PLAIN, LIMITS, BOTH)
 PROFILED = (PLAIN, LIMITS, BOTH)
-# How well a laboratory would measure a force [N].
-FORCE_SD, CONTACT_SD = 5.0, 20.0
+# A single measurement beside the table: what, and in which of its trials. The values are those of
+# the believable knee of four lines.
+MEASUREMENTS: tuple[tuple[tuple[str, ...], str], ...] = (
+    (("contact.medial_N", "contact.lateral_N"), "Anterior_30"),
+    (("contact.medial_N", "contact.lateral_N"), "FullExt_0"),
+    (("MCL.tension_N",), "Valgus_30"),
+    (("LCL.tension_N",), "Varus_30"),
+    (("ACL.tension_N",), "Anterior_30"),
+)
 DIGITS = 6
 
 
@@ -133,6 +142,20 @@ def main() -> None:
             ],
         )
         done("profiles", profiled, [{"knee": LINES, "variant": x} for x in PROFILED])
+        done("design", designed, [{"knee": LINES}])
+        believable = of_limits[LINES]
+        done(
+            "measurements",
+            measured_once,
+            [
+                {
+                    "knee": LINES,
+                    "trial": trial,
+                    "forces": {x: force_at(believable, x, trial) for x in quantities},
+                }
+                for quantities, trial in MEASUREMENTS
+            ],
+        )
 
 
 def table(*, with_held_out: bool = True) -> ik.Laxity:
@@ -167,7 +190,7 @@ def fitted(task: Row) -> Row:
         end = ended(knee, laxity, found.search.theta)
         row = {**described(end), **how(found)}
     else:
-        end = fitted_with_error(knee, laxity, variant.discrepancy)
+        end = lowest(knee, laxity, discrepancy=variant.discrepancy)
         row = described(end)
     other = second_device()
     row["second_device"] = rounded(changes(predicted(end, other.protocol), other), DIGITS)
@@ -175,12 +198,10 @@ def fitted(task: Row) -> Row:
 
 
 def extended(task: Row) -> Row:
-    """A fit with limits and one structure more, begun at that without the structure."""
+    """The lowest fit with limits and one structure more, begun at that without the structure."""
     began = time.process_time()
-    variant = VARIANTS[LIMITS]
-    knee, laxity = knee_of(task["knee"], variant, task["structure"]), table()
-    found = ik.fit(knee, laxity, start=task["start"], **settings(variant))
-    row = {**described(ended(knee, laxity, found.search.theta)), **how(found)}
+    knee = knee_of(task["knee"], VARIANTS[LIMITS], task["structure"])
+    row = described(lowest(knee, table(), start=task["start"]))
     named = {"knee": task["knee"], "structure": task["structure"]}
     return {**named, **row, "seconds": rounded(time.process_time() - began, 3)}
 
@@ -189,26 +210,16 @@ def held_out(task: Row) -> Row:
     """A fit without some trials, and its prediction of these."""
     began = time.process_time()
     variant, laxity = VARIANTS[task["variant"]], table(with_held_out=False)
-    knee, names = knee_of(task["knee"], variant), SPLITS[task["split"]]
-    seen, is_held = split(laxity, names)
+    seen, is_held = split(laxity, SPLITS[task["split"]])
     kept = laxity.select(is_held)
-    if variant.discrepancy == "none":
-        found = ik.fit(knee, laxity, hold_out=names, **settings(variant))
-        if found.held_out is None:
-            raise AssertionError
-        made: list[Value] = [
-            [x.trial, x.coordinate, x.measured, x.predicted, x.sd] for x in found.held_out.values
-        ]
-        degrees: float | None = found.held_out.degrees_of_freedom
-        error = found.rmse.by_coordinate
-    else:
-        end = fitted_with_error(knee, seen, variant.discrepancy)
-        made, degrees = values(predicted(end, kept.protocol), kept), None
-        error = rmse_of(end)
+    end = lowest(knee_of(task["knee"], variant), seen, discrepancy=variant.discrepancy)
+    found = predicted(end, kept.protocol)
+    made = values(found, kept)
     row = {
         "n_trials": int(is_held.sum()),
-        "degrees_of_freedom": degrees,
-        "rmse": error,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "chi_square": misfit_square(end.problem, end.theta),
+        "rmse": rmse_of(end),
         "values": made,
         "judged": [x for x in made if JUDGED.get(str(x[0]).split("_")[0]) == x[1]],
         "seconds": time.process_time() - began,
@@ -244,6 +255,59 @@ def profiled(task: Row) -> Row:
     return {**task, **rounded(row, DIGITS)}
 
 
+def designed(task: Row) -> Row:
+    """What each single step would tell of the ligaments, without any limit."""
+    began = time.process_time()
+    variant, laxity = VARIANTS[PLAIN], table(with_held_out=False)
+    knee = knee_of(task["knee"], variant)
+    found = ik.design(knee, laxity, candidates=laxity.protocol, n_trials=1, **settings(variant))
+    choice = found.choice
+    told = choice.narrowing
+    steps = [{"kind": x.kind, "structure": x.structure, "trial": x.trial} for x in choice.steps]
+    row = {
+        "targets": list(choice.targets),
+        "trials": [
+            {"trial": name, "narrowing": mean_narrowing(x)}
+            for name, x in zip(choice.names, told.by_trial, strict=True)
+        ],
+        "errors": [
+            {"error": name, "narrowing": mean_narrowing(x)}
+            for name, x in zip(told.errors, told.by_error, strict=True)
+        ],
+        "steps": [
+            {**step, "narrowing": mean_narrowing(x)}
+            for step, x in zip(steps, told.by_step, strict=True)
+        ],
+        "seconds": time.process_time() - began,
+    }
+    return {**task, **rounded(row, DIGITS)}
+
+
+def force_at(row: Row, quantity: str, trial: str) -> float:
+    """A force of a fit in one trial."""
+    place = row["trials"].index(trial)
+    owner, _, kind = quantity.partition(".")
+    if owner == CONTACT:
+        return float(row["contact_N"][place][COMPARTMENTS.index(kind.removesuffix("_N"))])
+    return float(row["forces_N"][owner][place])
+
+
+def measured_once(task: Row) -> Row:
+    """A fit without limits to the table and the forces of one trial."""
+    began = time.process_time()
+    variant, laxity = VARIANTS[PLAIN], table()
+    knee = knee_of(task["knee"], variant)
+    names = tuple(task["forces"])
+    found = np.full((laxity.n, len(names)), np.nan)
+    found[laxity.protocol.trials.index(task["trial"])] = list(task["forces"].values())
+    sizes = [CONTACT_SD if x.startswith(CONTACT) else TENSION_SD for x in names]
+    sd = np.where(np.isfinite(found), sizes, np.nan)
+    laxity = replace(laxity, forces=MeasuredForces(names=names, values=found, sd=sd))
+    fit = ik.fit(knee, laxity, **settings(variant))
+    row = {**described(ended(knee, laxity, fit.search.theta)), **how(fit)}
+    return {**task, **row, "seconds": rounded(time.process_time() - began, 3)}
+
+
 def settings(variant: Variant) -> dict[str, Any]:
     """What a verb is asked for."""
     return {
@@ -264,9 +328,18 @@ def ended(
     )
 
 
-def fitted_with_error(knee: ik.Knee, laxity: ik.Laxity, discrepancy: str) -> FittedModel:
-    """The lowest fit that averages over a smooth error of the model."""
-    setup = identification(knee, laxity, discrepancy=discrepancy)
+def lowest(
+    knee: ik.Knee,
+    laxity: ik.Laxity,
+    *,
+    discrepancy: str = "none",
+    start: Mapping[str, float] | str = "subject",
+) -> FittedModel:
+    """The lowest end of the searches that all verbs make, without the price of limits.
+
+    It averages over a smooth error of the model if asked.
+    """
+    setup = identification(knee, laxity, discrepancy=discrepancy, start=start)
     fits = best_fits(setup, seed=0, executor=serial)
     return FittedModel(
         model=setup.model,
