@@ -235,6 +235,7 @@ def profiled(task: Row) -> Row:
         knee_of(task["knee"], variant),
         table(),
         discrepancy=variant.discrepancy,
+        priors=False,
         **settings(variant),
     )
     row = {
