@@ -18,6 +18,7 @@ from common.records import Row, begun, parsed_options, rounded, say, working, wr
 from predictions import (
     JUDGED,
     FittedModel,
+    Value,
     changes,
     predicted,
     second_device,
@@ -133,6 +134,15 @@ def main() -> None:
                 for x in STRUCTURES[k]
             ],
         )
+        of_menisci = {
+            k: next(x for x in record["knees"][k]["structures"] if x["structure"] == MENISCI)
+            for k in KNEES
+        }
+        done(
+            "second_device",
+            on_second_device,
+            [{"knee": k, "variant": WITH_MENISCI, "at": of_menisci[k]["theta"]} for k in KNEES],
+        )
         done("without_limits", lowest_fit, [{"knee": k, "variant": PLAIN_MENISCI} for k in KNEES])
         done(
             "held_out",
@@ -199,9 +209,23 @@ def fitted(task: Row) -> Row:
     else:
         end = lowest(knee, laxity, discrepancy=variant.discrepancy)
         row = described(end)
-    other = second_device()
-    row["second_device"] = rounded(changes(predicted(end, other.protocol), other), DIGITS)
+    row["second_device"] = device_changes(end)
     return {**task, **row, "seconds": rounded(time.process_time() - began, 3)}
+
+
+def device_changes(end: FittedModel) -> list[Value]:
+    """What a fit predicts of the other device, beside what was measured there."""
+    other = second_device()
+    made: list[Value] = rounded(changes(predicted(end, other.protocol), other), DIGITS)
+    return made
+
+
+def on_second_device(task: Row) -> Row:
+    """The same of a fit whose parameters are known."""
+    knee = knee_of(task["knee"], VARIANTS[task["variant"]])
+    end = ended(knee, table(), np.array(list(task["at"].values())))
+    named = {"knee": task["knee"], "variant": task["variant"]}
+    return {**named, "second_device": device_changes(end)}
 
 
 def extended(task: Row) -> Row:

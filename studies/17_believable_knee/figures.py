@@ -20,20 +20,21 @@ NAMES = {"s192803": "four lines", "s192803_bundles": "14 bundles"}
 LINES = "s192803"
 PLAIN, LIMITS, BONE = "plain", "limits", "limits, on the bone"
 ERROR, BOTH = "error of the model", "limits and error of the model"
+WITH_MENISCI, MENISCI = "limits, menisci", "menisci"
 SHORT = {
     PLAIN: "plain",
     LIMITS: "limits",
     BONE: "limits, on bone",
     ERROR: "error",
     BOTH: "limits, error",
+    WITH_MENISCI: WITH_MENISCI,
 }
-COMPARED = (PLAIN, LIMITS, BOTH)
+COMPARED = (PLAIN, LIMITS, WITH_MENISCI, BOTH)
 JUDGED = ("anterior_drawer_mm", "varus_deg", "internal_deg")
 COORDINATES = ik.laxity.COORDINATES
 CAPSULE = "capsule"
 LABELS = {CAPSULE: "capsule of three sheets"}
-# Of largest force and strength where both fit into one picture.
-MOST_SHOWN = 6.0
+DEVICE = "second device"
 Row = Mapping[str, Any]
 
 
@@ -70,6 +71,21 @@ def of(record: Row, knee: str, part: str, **wanted: str) -> Row:
     """The one row of a part that is asked for."""
     rows = record["knees"][knee][part]
     return next(x for x in rows if all(x[k] == value for k, value in wanted.items()))
+
+
+def predictions(record: Row, knee: str) -> Iterator[tuple[str, Row]]:
+    """What was predicted, a split or the other device, and each row that has its values."""
+    for x in record["knees"][knee]["held_out"]:
+        yield x["split"], x
+    for part in ("fits", "second_device"):
+        for x in record["knees"][knee][part]:
+            yield DEVICE, {**x, "values": x["second_device"], "degrees_of_freedom": None}
+
+
+def with_structures(part: Row) -> Iterator[Row]:
+    """Fits with limits and one structure more."""
+    yield from part["structures"]
+    yield from part["single_lines"]
 
 
 def square(row: Row) -> float:
@@ -173,9 +189,13 @@ def structures_table(record: Row) -> ik.report.Table:
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
         base = of(record, knee, "fits", variant=LIMITS)
-        for x in [base, *part["structures"]]:
+        for x in [base, *with_structures(part)]:
             more = x["n_parameters"] - base["n_parameters"]
             whole = square(x) + beyond(x)
+            price = price_of(x)
+            if more and x["structure"] == "meniscus":
+                (without,) = part["without_limits"]
+                price = whole - square(without)
             medial, lateral = x["mean_contact_N"]
             rows.append(
                 (
@@ -185,7 +205,7 @@ def structures_table(record: Row) -> ik.report.Table:
                     square(x),
                     beyond(x),
                     whole - square(base) - beyond(base),
-                    price_of(x),
+                    price,
                     f"{medial:.0f} / {lateral:.0f}",
                     len(x["implausible"]),
                 )
@@ -230,19 +250,14 @@ def held_out_table(record: Row) -> ik.report.Table:
 
 
 def paired(record: Row) -> Iterator[tuple[str, str, str, tuple[float, float, float]]]:
-    """Knee, what was held out, fit, and its score less that of the plain one with an interval."""
-    for knee, part in record["knees"].items():
-        for x in part["held_out"]:
-            if x["variant"] == PLAIN:
-                continue
-            plain = of(record, knee, "held_out", variant=PLAIN, split=x["split"])
-            pair = [scores(y["values"], y["degrees_of_freedom"]) for y in (x, plain)]
-            yield knee, x["split"], x["variant"], difference(*pair)
-        plain_device = of(record, knee, "fits", variant=PLAIN)
-        for x in part["fits"]:
-            if x["variant"] != PLAIN:
-                pair = [scores(y["second_device"], None) for y in (x, plain_device)]
-                yield knee, "second device", x["variant"], difference(*pair)
+    """Knee, what was predicted, fit, and its score less that of the plain one with an interval."""
+    for knee in record["knees"]:
+        found = list(predictions(record, knee))
+        plain = {what: x for what, x in found if x["variant"] == PLAIN}
+        for what, x in found:
+            if x["variant"] in COMPARED[1:]:
+                pair = (scores(y["values"], y["degrees_of_freedom"]) for y in (x, plain[what]))
+                yield knee, what, x["variant"], difference(*pair)
 
 
 def paired_table(record: Row) -> ik.report.Table:
@@ -265,9 +280,11 @@ def _said(low: float, high: float) -> str:
 def device_table(record: Row) -> ik.report.Table:
     """Changes on the other device."""
     rows: list[tuple[Cell, ...]] = []
-    for knee, part in record["knees"].items():
-        for x in part["fits"]:
-            found = x["second_device"]
+    for knee in record["knees"]:
+        for what, x in predictions(record, knee):
+            if what != DEVICE or x["variant"] not in COMPARED:
+                continue
+            found = x["values"]
             known = [v for v in found if v[3] is not None]
             rows.append(
                 (
@@ -391,14 +408,15 @@ def forces_figure(record: Row) -> Figure:
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(len(NAMES), 2, width_ratios=[3.0, 2.0])
     for (left, right), (knee, part) in zip(panels, record["knees"].items(), strict=True):
-        fits = part["fits"]
+        menisci = next(x for x in part["structures"] if x["structure"] == "meniscus")
+        fits = [*part["fits"], {**menisci, "variant": WITH_MENISCI}]
         names = list(fits[0]["forces_N"])
         for k, x in enumerate(fits):
             found = largest(x)
             share = [found[name] / x["strengths_N"][name][0] for name in names]
             left.plot(
                 share,
-                np.arange(len(names)) + 0.13 * (k - 2),
+                np.arange(len(names)) + 0.12 * (k - 2.5),
                 linestyle="none",
                 marker=ik.report.MARKERS[k],
                 color=ik.report.COLOURS[k],
@@ -414,7 +432,7 @@ def forces_figure(record: Row) -> Figure:
         for axes in (left, right):
             axes.spines[["top", "right"]].set_visible(False)
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(SHORT))
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
@@ -430,7 +448,7 @@ def _contact_bars(axes: Axes, fits: Sequence[Row]) -> None:
     axes.set_xlim(-reach, 0.6 * reach)
     ticks = [x for x in axes.get_xticks() if -reach <= x <= 0.6 * reach]
     axes.set_xticks(ticks, [f"{abs(x):.0f}" for x in ticks])
-    axes.set_xlabel("contact, medial to the left, lateral to the right [N]")
+    axes.set_xlabel("contact force: medial, lateral [N]")
 
 
 def price_figure(record: Row) -> Figure:
@@ -463,21 +481,18 @@ def held_out_figure(record: Row) -> Figure:
     """Share of values in 90 % intervals and interval score, of each prediction."""
     figure = Figure(figsize=(10.0, 3.9), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    splits = list(dict.fromkeys(x["split"] for x in record["knees"][LINES]["held_out"]))
-    groups = [(knee, x) for knee in record["knees"] for x in [*splits, "second device"]]
+    found = [(knee, *x) for knee in record["knees"] for x in predictions(record, knee)]
+    groups = list(dict.fromkeys((knee, what) for knee, what, _ in found))
     left.axvspan(85.0, 97.0, color=ik.report.GREY, alpha=0.25, linewidth=0.0)
     for k, variant in enumerate(COMPARED):
-        shares, means, places = [], [], []
-        for place, (knee, what) in enumerate(groups):
-            if what == "second device":
-                found = of(record, knee, "fits", variant=variant)["second_device"]
-                degrees = None
-            else:
-                row = of(record, knee, "held_out", variant=variant, split=what)
-                found, degrees = row["values"], row["degrees_of_freedom"]
-            places.append(place + 0.15 * (k - 1.5))
-            shares.append(100.0 * within(found, degrees))
-            means.append(float(np.mean(list(scores(found, degrees).values()))))
+        own = [
+            (groups.index((knee, what)), x["values"], x["degrees_of_freedom"])
+            for knee, what, x in found
+            if x["variant"] == variant
+        ]
+        places = [place + 0.16 * (k - 1.5) for place, _, _ in own]
+        shares = [100.0 * within(values, degrees) for _, values, degrees in own]
+        means = [np.mean(list(scores(values, degrees).values())) for _, values, degrees in own]
         for axes, x in ((left, shares), (right, means)):
             axes.plot(
                 x,

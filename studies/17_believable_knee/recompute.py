@@ -14,7 +14,8 @@ Row = dict[str, Any]
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Name, recorded value and a function that computes it again: each fit at its parameters."""
     for knee, part in record["knees"].items():
-        for row in [*part["fits"], *part["structures"]]:
+        parts = ("fits", "structures", "without_limits", "single_lines")
+        for row in (x for name in parts for x in part[name]):
             variant, structure = row.get("variant", LIMITS), row.get("structure", "")
             task = {"knee": knee, "variant": variant, "structure": structure}
             again = partial(fit_again, task, row["theta"])
