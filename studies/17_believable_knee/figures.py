@@ -63,7 +63,6 @@ def tables(record: Row) -> Mapping[str, ik.report.Table | str]:
         "second device": device_table(record),
         "ends": ends_table(record),
         "measurements": measurements_table(record),
-        "steps": steps_table(record),
     }
 
 
@@ -73,19 +72,18 @@ def of(record: Row, knee: str, part: str, **wanted: str) -> Row:
     return next(x for x in rows if all(x[k] == value for k, value in wanted.items()))
 
 
+def splits(part: Row) -> list[Row]:
+    """Rows of all trials held out."""
+    return [*part["held_out"], *part["held_out_at_0_deg"]]
+
+
 def predictions(record: Row, knee: str) -> Iterator[tuple[str, Row]]:
     """What was predicted, a split or the other device, and each row that has its values."""
-    for x in record["knees"][knee]["held_out"]:
+    for x in splits(record["knees"][knee]):
         yield x["split"], x
     for part in ("fits", "second_device"):
         for x in record["knees"][knee][part]:
             yield DEVICE, {**x, "values": x["second_device"], "degrees_of_freedom": None}
-
-
-def with_structures(part: Row) -> Iterator[Row]:
-    """Fits with limits and one structure more."""
-    yield from part["structures"]
-    yield from part["single_lines"]
 
 
 def square(row: Row) -> float:
@@ -189,13 +187,15 @@ def structures_table(record: Row) -> ik.report.Table:
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
         base = of(record, knee, "fits", variant=LIMITS)
-        for x in [base, *with_structures(part)]:
+        for x in [base, *part["structures"]]:
             more = x["n_parameters"] - base["n_parameters"]
             whole = square(x) + beyond(x)
             price = price_of(x)
             if more and x["structure"] == "meniscus":
                 (without,) = part["without_limits"]
-                price = whole - square(without)
+                # A structure that does nothing fits as well as none.
+                plain = of(record, knee, "fits", variant=PLAIN)
+                price = whole - min(square(without), square(plain))
             medial, lateral = x["mean_contact_N"]
             rows.append(
                 (
@@ -223,7 +223,7 @@ def held_out_table(record: Row) -> ik.report.Table:
     """Errors and intervals of trials held out."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
-        for x in part["held_out"]:
+        for x in splits(part):
             known = [v for v in x["values"] if v[3] is not None]
             found = scores(x["values"], x["degrees_of_freedom"])
             trials = len({v[0] for v in known})
@@ -372,35 +372,6 @@ def measurements_table(record: Row) -> ik.report.Table:
         "largest forces (share of strength); findings of an implausible fit | 0",
         rows,
     )
-
-
-def steps_table(record: Row) -> ik.report.Table:
-    """The best single step of each kind."""
-    (row,) = record["knees"][LINES]["design"]
-    kinds: dict[str, list[tuple[str, float]]] = {}
-    for x in row["trials"]:
-        kinds.setdefault("trial repeated", []).append((_trial(x["trial"]), x["narrowing"]))
-    for x in row["errors"]:
-        name = x["error"].replace(".", " of ").replace("_", " ")
-        kinds.setdefault("stated error halved", []).append((name, x["narrowing"]))
-    words = {"force": "tension measured", "contact": "contact measured", "cut": "ligament cut"}
-    for x in row["steps"]:
-        name = f"{x['structure']} in {_trial(x['trial'])}".removeprefix(" in ")
-        kinds.setdefault(words[x["kind"]], []).append((name, x["narrowing"]))
-    rows: list[tuple[Cell, ...]] = []
-    for kind, found in kinds.items():
-        known = [x for x in found if x[1] is not None and np.isfinite(x[1])]
-        best = max(known, key=lambda x: x[1])
-        rows.append((kind, best[0], 100.0 * best[1], len(known)))
-    return table(
-        "The best single step of each kind, and how much narrower it makes open intervals",
-        "step; best; narrower by [%] | 1; compared | 0",
-        sorted(rows, key=lambda x: -float(x[2] or 0.0)),
-    )
-
-
-def _trial(name: str) -> str:
-    return name.replace("_", " at ") + " deg"
 
 
 def forces_figure(record: Row) -> Figure:
