@@ -263,7 +263,7 @@ def paired(record: Row) -> Iterator[tuple[str, str, str, tuple[float, float, flo
 def paired_table(record: Row) -> ik.report.Table:
     """Scores against that of the plain fit."""
     rows: list[tuple[Cell, ...]] = [
-        (what, NAMES[knee], variant, f"{mean:.1f} ({low:.1f} to {high:.1f})", _said(low, high))
+        (what, NAMES[knee], variant, f"{mean:.2f} ({low:.2f} to {high:.2f})", _said(low, high))
         for knee, what, variant, (mean, low, high) in paired(record)
     ]
     return table(
