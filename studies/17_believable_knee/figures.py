@@ -324,8 +324,10 @@ def ends_words(x: Row) -> str:
 
 
 def _maker(made_by: str | None) -> str:
-    if made_by in (None, "data"):
+    if made_by == "data":
         return ""
+    if made_by is None:
+        return " (undecided)"
     owner, _, kind = str(made_by).removeprefix("bound of ").rpartition(".")
     return f" ({made_by})" if not owner else f" (bound of {owner} {_kind(kind)})"
 
