@@ -492,7 +492,7 @@ def ends_figure(record: Row) -> Figure:
     part = record["knees"][LINES]["profiles"]
     names = list(part[0]["parameters"])
     kinds = [[x for x in names if x.endswith(end)] for end in ("_kN", "_pct")]
-    bounds = ((0.0, 40.0), (-40.0, 40.0))
+    bounds, middle = ((0.0, 40.0), (-40.0, 40.0)), 0.5 * (len(part) - 1)
     for axes, own, (low, high), unit in zip(
         figure.subplots(1, 2),
         kinds,
@@ -502,7 +502,7 @@ def ends_figure(record: Row) -> Figure:
     ):
         for k, x in enumerate(part):
             for place, name in enumerate(own):
-                _interval(axes, x["parameters"][name], place + 0.22 * (k - 1), k, (low, high))
+                _interval(axes, x["parameters"][name], place + 0.26 * (k - middle), k, (low, high))
             axes.plot(
                 [],
                 [],
@@ -511,7 +511,7 @@ def ends_figure(record: Row) -> Figure:
                 label=SHORT[x["variant"]],
             )
         axes.set_yticks(range(len(own)), [x.rpartition(".")[0] for x in own])
-        axes.invert_yaxis()
+        axes.set_ylim(len(own) - 0.5, -0.5)
         axes.set_xlim(low - 0.03 * (high - low), high + 0.03 * (high - low))
         axes.set_xlabel(unit)
         axes.spines[["top", "right"]].set_visible(False)
