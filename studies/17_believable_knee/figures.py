@@ -512,7 +512,7 @@ def ends_figure(record: Row) -> Figure:
             )
         axes.set_yticks(range(len(own)), [x.rpartition(".")[0] for x in own])
         axes.set_ylim(len(own) - 0.5, -0.5)
-        axes.set_xlim(low - 0.03 * (high - low), high + 0.03 * (high - low))
+        axes.set_xlim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axes.set_xlabel(unit)
         axes.spines[["top", "right"]].set_visible(False)
     figure.legend(
@@ -522,12 +522,12 @@ def ends_figure(record: Row) -> Figure:
 
 
 def _interval(axes: Axes, row: Row, place: float, k: int, bounds: tuple[float, float]) -> None:
-    low, high = (
-        bound if end is None else end for end, bound in zip(row["ends"], bounds, strict=True)
-    )
-    colour = ik.report.COLOURS[k]
-    axes.plot([low, high], [place, place], color=colour)
-    for end, at, sign in zip(row["ends"], (low, high), ("<", ">"), strict=True):
+    """One interval; an open end goes a little beyond the bound, where a best fit may be."""
+    colour, room = ik.report.COLOURS[k], 0.03 * (bounds[1] - bounds[0])
+    beyond = (bounds[0] - room, bounds[1] + room)
+    ends = [x if end is None else end for end, x in zip(row["ends"], beyond, strict=True)]
+    axes.plot(ends, [place, place], color=colour)
+    for end, at, sign in zip(row["ends"], ends, ("<", ">"), strict=True):
         axes.plot([at], [place], marker=sign if end is None else "|", color=colour)
     axes.plot([row["best"]], [place], marker=ik.report.MARKERS[k], color=colour, markersize=5)
 
