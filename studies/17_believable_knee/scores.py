@@ -53,13 +53,16 @@ def within(values: Sequence[Sequence[Any]], degrees_of_freedom: float | None) ->
 
 
 def rms(values: Sequence[Sequence[Any]], coordinate: str = "", begin: str = "") -> float:
-    """Root-mean-square error of the values predicted, of one coordinate or kind of trial."""
+    """Root-mean-square error of the values predicted, of one coordinate or kind of trial.
+
+    NaN without any.
+    """
     off = [
         x[3] - x[2]
         for x in values
         if x[3] is not None and coordinate in ("", x[1]) and x[0].startswith(begin)
     ]
-    return float(np.sqrt(np.mean(np.square(off))))
+    return float(np.sqrt(np.mean(np.square(off)))) if off else float("nan")
 
 
 def difference(

@@ -67,6 +67,7 @@ def test_shares_and_errors_leave_out_what_is_not_predicted() -> None:
     assert module.rms(values, "varus_deg") == 3.0
     assert module.rms(values, begin="Anterior") == 1.0
     assert module.rms(values) == pytest.approx(np.sqrt(5.0))
+    assert np.isnan(module.rms(values, begin="Internal"))
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
