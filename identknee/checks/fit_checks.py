@@ -26,7 +26,7 @@ from identknee.identify.posterior.density import newton_kernel
 from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
-from identknee.model.contact_loads import contact_values
+from identknee.model.contact_loads import compartment_forces
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
@@ -514,7 +514,7 @@ def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iter
 
 def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
     is_without_varus = prediction.is_converged & (dominant_loads(model.protocol).axis != VARUS)
-    forces = contact_values(prediction)[is_without_varus, :, 0]
+    forces = compartment_forces(prediction)[is_without_varus]
     if not forces.size:
         return
     medial, lateral = np.median(forces, axis=0)

@@ -171,6 +171,14 @@ def meniscus_values(prediction: Prediction) -> Array:
     return _values(prediction, prediction.menisci)
 
 
+def compartment_forces(prediction: Prediction) -> Array:
+    """Force of contact and meniscus of each compartment and trial [N], shape ``(n, 2)``.
+
+    NaN in trials that did not converge.
+    """
+    return contact_values(prediction)[:, :, 0] + meniscus_values(prediction)[:, :, 0]
+
+
 def _values(prediction: Prediction, centres: Array) -> Array:
     values = np.array(centres[:, :, : len(KINDS)])
     values[values[:, :, 0] == 0.0, 1:] = np.nan

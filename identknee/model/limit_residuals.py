@@ -8,13 +8,19 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from identknee.laxity.protocol import LOADS, WAYS, Protocol, dominant_loads
-from identknee.model.contact_loads import COMPARTMENTS, contact_jacobian, contact_values
+from identknee.model.contact_loads import (
+    COMPARTMENTS,
+    compartment_forces,
+    contact_jacobian,
+    meniscus_jacobian,
+)
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, structure_loads, tensions_of
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
+from identknee.subject.menisci import MENISCI
 from identknee.subject.plausibility import CONTACT, TENSION, Limit
 
 # The smooth maximum lies above the largest value by at most so much times the logarithm of how many
@@ -234,11 +240,14 @@ class _Loads:
     def _computed(self, kind: str) -> tuple[Array, Array]:
         model, made = self.model, self.prediction
         if kind == "contact":
-            values = contact_values(made)[:, :, 0]
+            # What a compartment bears, whether cartilage or meniscus passes it on.
+            values = compartment_forces(made)
             slopes = np.zeros((*values.shape, self.n_parameters))
             if self.has_slopes:
-                found = contact_jacobian(model, made, self.in_contact)
-                slopes[self.in_contact] = found[:, :, 0]
+                found = contact_jacobian(model, made, self.in_contact)[:, :, 0]
+                if any(x.name == MENISCI for x in model.effects):
+                    found = found + meniscus_jacobian(model, made, self.in_contact)[:, :, 0]
+                slopes[self.in_contact] = found
             return values, slopes
         if not self.has_slopes:
             values = (tensions_of if kind == TENSION else strains_of)(model, made)

@@ -103,7 +103,9 @@ class Parameters:
 
         In these coordinates every prior is normal, and the posterior is nearer to a normal one.
         """
-        return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
+        # A stiffness of 0 is as far away as can be.
+        with np.errstate(divide="ignore"):
+            return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
 
     def from_working(self, working: Array) -> Array:
         """Thetas from their working coordinates, shape ``(..., n)``."""

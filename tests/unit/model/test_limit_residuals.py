@@ -1,5 +1,6 @@
 """Limits of plausibility as residuals: closed forms, derivatives, and one term a knee."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +12,14 @@ from scipy.stats import norm
 import identknee as ik
 from identknee.calibrate.problem import BELIEFS, PLAUSIBILITY_TERM, evidence_terms, misfit_square
 from identknee.checks.usable_trials import defined_everywhere, with_other_terms
+from identknee.model.contact_loads import contact_values, meniscus_values
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals, standard_loads
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.errors import ValueRefused
-from identknee.subject.knee import Uncertainty
+from identknee.subject.knee import Knee, Uncertainty
+from identknee.subject.menisci import with_menisci
 from identknee.subject.plausibility import Limit, default_limits
 
 PROTOCOL = ik.load_protocol("drawer")
@@ -82,9 +85,30 @@ def test_a_standard_load_is_predicted_beside_the_data() -> None:
     assert found.residuals(theta)[0] == pytest.approx((tension - 90.0) / 20.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("is_bundled", [False, True])
-def test_derivatives_by_parameters_and_nuisances(is_bundled: bool) -> None:
-    knee = bundled_knee() if is_bundled else ik.reference_knee()
+KNEES: dict[str, Callable[[], Knee]] = {
+    "lines": ik.reference_knee,
+    "bundles": bundled_knee,
+    "menisci": lambda: with_menisci(ik.reference_knee()),
+}
+
+
+def test_a_compartment_bears_contact_and_meniscus() -> None:
+    model = LaxityModel(knee=with_menisci(ik.reference_knee()), protocol=PROTOCOL)
+    theta = model.parameters.start
+    made = model.predict(theta)
+    contact, menisci = (x(made)[:, :, 0] for x in (contact_values, meniscus_values))
+    assert np.abs(np.diff(menisci.mean(axis=0))) > 1.0
+    limit = Limit(
+        form="within", quantity="contact.medial_N", less="contact.lateral_N", size=1.0, spread=1.0
+    )
+    found = LimitResiduals(model=model, limits=[limit])
+    medial, lateral = (contact + menisci).mean(axis=0)
+    assert found.values(theta)[0] == pytest.approx(medial - lateral, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", KNEES)
+def test_derivatives_by_parameters_and_nuisances(name: str) -> None:
+    knee = KNEES[name]()
     stated = Uncertainty(insertions_mm=1.0, registration_mm=1.0, registration_deg=1.0)
     knee = knee.with_uncertainty(stated)
     model = LaxityModel(knee=knee, protocol=PROTOCOL)
