@@ -30,7 +30,13 @@ from identknee.subject.opensim_model import (
     OsimModel,
     Transform,
 )
-from identknee.subject.opensim_wrap import OTHER_OBJECT, SEVERAL, wrap_objects, wrapping_of
+from identknee.subject.opensim_wrap import (
+    OTHER_OBJECT,
+    SEVERAL,
+    Wrapping,
+    wrap_objects,
+    wrapping_of,
+)
 from identknee.subject.surface import Surface, joined, read_surface
 
 MESH_CLASSES = ("Smith2018ContactMesh", "ContactMesh")
@@ -207,6 +213,7 @@ def is_off(element: Element) -> bool:
 
 
 FITTED = "a cylinder replaces the ellipsoid they wrap around; lengths are up to {:.2g} mm off"
+AS_ASKED = "straight lines replace paths that wrap, as asked"
 MERGED_STRAIGHT = "the merged lines are straight, their bundles wrap"
 OTHER_TOE = f"the transition strain {TRANSITION_STRAIN:g} replaces that of the model"
 CONDITIONAL = "ends that hold in a range of a coordinate alone are taken as fixed"
@@ -215,8 +222,10 @@ CONTACT_OFF = "its force is switched off in the model, and here the surfaces pre
 MOVING = "an end moves along its bone, and only fixed ends are read"
 
 
-def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
+def lines_of(bones: Bones, *, wrapping: bool = True) -> tuple[list[OsimLine], list[NotTaken]]:
     """The ligaments between femur and tibia, and those not taken or not taken exactly.
+
+    Without `wrapping` all lines are straight.
 
     Raises
     ------
@@ -225,7 +234,7 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
     """
     model = bones.model
     lines: list[OsimLine] = []
-    reasons = (OFF, MOVING, SEVERAL, OTHER_OBJECT, FITTED, OTHER_TOE, CONDITIONAL)
+    reasons = (OFF, MOVING, SEVERAL, OTHER_OBJECT, AS_ASKED, FITTED, OTHER_TOE, CONDITIONAL)
     remarks: dict[str, list[str]] = {x: [] for x in reasons}
     objects = wrap_objects(model, {"femur": bones.femur, "tibia": bones.tibia})
     worst = 0.0
@@ -238,14 +247,16 @@ def lines_of(bones: Bones) -> tuple[list[OsimLine], list[NotTaken]]:
             remarks[OFF if is_off(element) else MOVING].append(name)
             continue
         places = {x: end.frame(model.vector(end.element, "location")) for x, end in ends.items()}
-        wrapping = wrapping_of(model, element, objects, *(places[x] * MM_PER_M for x in BONES))
-        ligament = _ligament(model, element, places, wrapping.obstacle)
+        way = wrapping_of(model, element, objects, *(places[x] * MM_PER_M for x in BONES))
+        if way.obstacle is not None and not wrapping:
+            way = Wrapping(obstacle=None, why_straight=AS_ASKED)
+        ligament = _ligament(model, element, places, way.obstacle)
         lines.append(OsimLine(ligament=ligament, element=element, ends=ends))
-        if wrapping.why_straight:
-            remarks[wrapping.why_straight].append(name)
-        if np.isfinite(wrapping.error_mm):
+        if way.why_straight:
+            remarks[way.why_straight].append(name)
+        if np.isfinite(way.error_mm):
             remarks[FITTED].append(name)
-            worst = max(worst, wrapping.error_mm)
+            worst = max(worst, way.error_mm)
         if model.numbers(element, "transition_strain", "0.06")[0] != TRANSITION_STRAIN:
             remarks[OTHER_TOE].append(name)
         if "ConditionalPathPoint" in kinds:
@@ -441,6 +452,7 @@ def import_opensim(
     *,
     bundles: Literal["separate", "merged"] = "separate",
     side: Side | None = None,
+    wrapping: bool = True,
 ) -> Knee:
     """The knee of an OpenSim 4 model, all joint coordinates being zero.
 
@@ -465,6 +477,8 @@ def import_opensim(
         weighted by stiffness. A line whose bundles are all left out is left out, too.
     side
         ``"right"`` or ``"left"``, where the model has both knees.
+    wrapping
+        False for straight lines in place of all paths that wrap.
 
     Raises
     ------
@@ -477,7 +491,7 @@ def import_opensim(
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
-    return imported_knee(path, bundles=bundles, side=side).knee
+    return imported_knee(path, bundles=bundles, side=side, wrapping=wrapping).knee
 
 
 def imported_knee(
@@ -485,6 +499,7 @@ def imported_knee(
     *,
     bundles: Literal["separate", "merged"] = "separate",
     side: Side | None = None,
+    wrapping: bool = True,
 ) -> ImportedKnee:
     """The knee as `import_opensim` gives it, with what of its ligaments and meshes is not in it.
 
@@ -500,7 +515,7 @@ def imported_knee(
     model = OsimModel(opensim_file(path))
     bones = bones_of(model, side)
     meshes = contact_meshes(model)
-    lines, not_taken = lines_of(bones)
+    lines, not_taken = lines_of(bones, wrapping=wrapping)
     ligaments = [x.ligament for x in lines]
     remarks = [f"{capitalised(x.why)}: {', '.join(x.names)}." for x in not_taken]
     if bundles == "merged":
@@ -511,10 +526,10 @@ def imported_knee(
             why = "it belongs to none of the four lines"
             beside = NotTaken(kind=LIGAMENT_CLASS, names=rest, change="left out", why=why)
             not_taken = [*not_taken, beside]
-        wrapping = tuple(x.name for x in ligaments if x.name in used and x.wrap is not None)
-        if wrapping:
+        bent = tuple(x.name for x in ligaments if x.name in used and x.wrap is not None)
+        if bent:
             beside = NotTaken(
-                kind=LIGAMENT_CLASS, names=wrapping, change="changed", why=MERGED_STRAIGHT
+                kind=LIGAMENT_CLASS, names=bent, change="changed", why=MERGED_STRAIGHT
             )
             not_taken = [*not_taken, beside]
         ligaments = merged(model, [straightened(x) for x in ligaments], missing)

@@ -29,12 +29,12 @@ DIGITS = 6
 
 
 def study_knee(name: str) -> ik.Knee:
-    """The named subject called `name`, or ``"lenhart2015_bundles"``: its OpenSim model as it is.
+    """The named subject called `name`, or ``"lenhart2015_bundles"``: its straight lines.
 
     Each of its bundles is a ligament of its own, tied to no other.
     """
     if name == BUNDLES:
-        return replace(ik.import_opensim("lenhart2015"), groups=())
+        return replace(ik.import_opensim("lenhart2015", wrapping=False), groups=())
     return ik.example(name)
 
 

@@ -17,7 +17,7 @@ from identknee.subject.check import check_geometry
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Side
 from identknee.subject.obstacle import Obstacle
-from identknee.subject.opensim import import_opensim, imported_knee
+from identknee.subject.opensim import import_opensim, imported_knee, straightened
 from identknee.subject.opensim_export import write_opensim
 from identknee.subject.opensim_wrap import shortest_way
 
@@ -59,6 +59,10 @@ def test_slack_lengths_of_a_published_model_mean_its_wrapped_paths() -> None:
     (fitted,) = (x for x in found.not_taken if "ellipsoid" in x.why)
     assert len(fitted.names) == 15
     assert "up to 0.12 mm off" in fitted.why
+    straight = import_opensim("lenhart2015", wrapping=False)
+    for one, other in zip(found.knee.ligaments, straight.ligaments, strict=True):
+        assert other.wrap is None
+        assert other.reference_strain_pct == pytest.approx(straightened(one).reference_strain_pct)
 
 
 def test_around_an_ellipsoid_that_is_a_sphere() -> None:
