@@ -60,11 +60,11 @@ def added(sums, first, squares, products):
 
 @compiled
 def seen_from_tibia(sums, first):
-    """Sums with what an element has besides whose energy is of a femoral point seen from the tibia.
+    """Sums with the further terms of an element whose energy is that of a femoral point.
 
-    Such a point w turns with R^T: for rotations about a, then b, it is b x (a x w) that counts, and
-    not a x (b x w), and u . (b x e_k) for a rotation about b beside a shift along k, where u is
-    minus the element's gradient.
+    Seen from the tibia such a point w turns with R^T. So its second derivative by rotations about
+    a, then b, is b x (a x w) in place of a x (b x w), and a rotation about b with a shift along k
+    adds u . (b x e_k), where u is minus the element's gradient.
     """
     b00, b01, b02, b10, b11, b12, b20, b21, b22 = sums[18:27]
     c00, c11, c22, c01, c02, c12 = sums[27:]

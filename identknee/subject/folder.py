@@ -79,6 +79,9 @@ _EXAMPLES = {
     "origin": "origin = [x, y, z] in mm",
     "axes": "axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]] (rows: anterior, superior, right)",
     "ligaments": "a table [[ligaments]] for each ligament",
+    "bone": 'bone = "femur" or bone = "tibia"',
+    "centre": "centre = [x, y, z] in mm",
+    "radius_mm": "radius_mm = ... (of the cylinder or sphere)",
     "stiffness_kN": "stiffness_kN = ... (kN per unit strain)",
     "reference_strain_pct": "reference_strain_pct = ... (% in the scanned pose)",
 }

@@ -218,7 +218,7 @@ MERGED_STRAIGHT = "the merged lines are straight, their bundles wrap"
 OTHER_TOE = f"the transition strain {TRANSITION_STRAIN:g} replaces that of the model"
 CONDITIONAL = "ends that hold in a range of a coordinate alone are taken as fixed"
 OFF = "their force is switched off in the model (appliesForce false or isDisabled true)"
-CONTACT_OFF = "its force is switched off in the model, and here the surfaces press all the same"
+CONTACT_OFF = "its force is switched off in the model, and here contact acts nevertheless"
 MOVING = "an end moves along its bone, and only fixed ends are read"
 
 

@@ -239,7 +239,7 @@ Discrepancy = Annotated[
 # In the texts of the options that take names of predictions.
 PREDICTIONS = (
     "Predictions are NAME.tension_N@TRIAL and NAME.strain_pct@TRIAL of a ligament, group or added "
-    "structure, contact.medial_N@TRIAL, contact.medial_x_mm@TRIAL (likewise lateral, y, z, and "
+    "structure, contact.medial_N@TRIAL, contact.medial_x_mm@TRIAL (also lateral, y, z, and "
     "meniscus), and coordinates such as varus_deg@TRIAL."
 )
 Level = Annotated[float, option("Confidence level of the intervals, such as 0.95.")]

@@ -274,7 +274,7 @@ def paired_table(record: Row) -> ik.report.Table:
 
 
 def _said(low: float, high: float) -> str:
-    return "better" if high < 0.0 else "worse" if low > 0.0 else "not told apart"
+    return "better" if high < 0.0 else "worse" if low > 0.0 else "no difference shown"
 
 
 def device_table(record: Row) -> ik.report.Table:
