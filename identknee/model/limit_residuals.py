@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -15,7 +16,12 @@ from identknee.model.contact_loads import (
     meniscus_jacobian,
 )
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import strains_of, structure_loads, tensions_of
+from identknee.model.line_loads import (
+    StructureLoads,
+    strains_of,
+    structure_loads,
+    tensions_of,
+)
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, short_repr
 from identknee.runs.declare import declared, entry
@@ -29,6 +35,8 @@ SOFTNESS = {"N": 0.1, "%": 0.005}
 VARUS = LOADS.index("varus_moment_Nm")
 NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
+# A ligament eight standard deviations from its strength has a smaller residual, and no slope.
+NEGLIGIBLE = 1e-8
 
 
 @declared
@@ -252,10 +260,14 @@ class _Loads:
         if not self.has_slopes:
             values = (tensions_of if kind == TENSION else strains_of)(model, made)
             return values, np.zeros((*values.shape, self.n_parameters))
-        n, loads = len(model.knee.ligaments), structure_loads(model, made)
+        n, loads = len(model.knee.ligaments), self._structures
         if kind == TENSION:
             return loads.tensions[:, :n], loads.tension_jacobian[:, :n]
         return loads.strains[:, :n], loads.strain_jacobian[:, :n]
+
+    @cached_property
+    def _structures(self) -> StructureLoads:
+        return structure_loads(self.model, self.prediction)
 
 
 def _members(model: LaxityModel, limit: Limit) -> tuple[int, ...]:
@@ -286,7 +298,7 @@ def _residual(limit: Limit, value: float) -> tuple[float, float]:
     z = (limit.size - value) / limit.spread
     log_share = float(log_ndtr(z))
     left = float(np.sqrt(-2.0 * log_share))
-    if left == 0.0:
+    if left < NEGLIGIBLE:
         return 0.0, 0.0
     density = np.exp(-0.5 * z * z - HALF_LOG_TWO_PI - log_share)
     return left, float(density / left / limit.spread)
