@@ -99,9 +99,10 @@ def with_fits_from(
     """A fit and those from other points, from low to high.
 
     With a budget the searches are brief, and hops follow: searches from points near the lowest end,
-    which keep its nuisances, until two rounds of them find nothing lower [1]_. Where the lowest
-    leaves many times what noise would, others begin with one stiffness nearly gone: no search finds
-    its way to a torn ligament from a whole one.
+    which keep its nuisances, until two rounds of them find nothing lower [1]_, or half of all
+    searches have ended at the lowest. Where the lowest leaves many times what noise would, others
+    begin with one stiffness nearly gone: no search finds its way to a torn ligament from a whole
+    one.
 
     Parameters
     ----------
@@ -141,6 +142,8 @@ def with_fits_from(
     fits, idle = _finished(problem, fits, N_FINISHED, how, executor), 0
     for k, reach in enumerate(REACH_OF_HOPS):
         lowest = fits[0]
+        if 2 * sum(x.deviance < lowest.deviance + A_GAIN for x in fits) > len(fits):
+            break
         near = sobol_around(problem.parameters, lowest.theta, N_HOPS, reach=reach, seed=seed + k)
         near[:, held] = lowest.theta[held]
         found = fit_many(problem, near, seed=seed + k, executor=executor, **brief)
