@@ -341,14 +341,14 @@ def best_fit_from(
     """
     problem, known, found = whitened_problem(model, laxity, noise), [*ends], list[ConstrainedFit]()
     for start in starts:
-        found.append(_descended(problem, start, known, most_steps))
+        found.append(descended(problem, start, known, most_steps))
         if found[-1].outcome is Outcome.MINIMUM:
             known.append(found[-1].evaluation)
     best = min(found, key=lambda x: x.evaluation.deviance)
     return FittedModel(model=model, laxity=laxity, noise=noise, constrained=best)
 
 
-def _descended(
+def descended(
     problem: ProblemWithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
 ) -> ConstrainedFit:
     """The fit from one start: Gauss-Newton steps, then steps with learned curvature."""

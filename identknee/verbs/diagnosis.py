@@ -29,6 +29,7 @@ from identknee.checks.usable_trials import (
     knee_with_equilibria,
 )
 from identknee.diagnosis.advice import Advice
+from identknee.diagnosis.believability import CauseUnderLimits, causes_under_limits
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.fitting import Refit, Rival, RivalState, with_wider_priors
 from identknee.diagnosis.gain import (
@@ -64,8 +65,8 @@ from identknee.verbs.identification import with_noise
 from identknee.verbs.options import (
     Candidates,
     Data,
-    DataOptions,
     ExtraStart,
+    FitOptions,
     Noise,
     Priors,
     Seed,
@@ -430,6 +431,11 @@ class Diagnosis(Answer):
     extension: tuple[AddedEffect, ...] = entry(
         "Effects of the subject extended by the causes", default=()
     )
+    under_limits: tuple[CauseUnderLimits, ...] = entry(
+        "The model without causes and with some where limits of plausibility count beside the data",
+        only="`--plausible`",
+        default=(),
+    )
 
     @property
     @override
@@ -618,17 +624,20 @@ def diagnose_data(
     effects: Candidates = None,
     priors: Priors = None,
     seed: Seed = 0,
-    **_: Unpack[DataOptions],
+    **_: Unpack[FitOptions],
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
     laxity = with_noise(data, noise)
+    # Limits are no part of the verdict: that they hold is belief, and no evidence of the data.
+    limits, subject = subject.plausibility, replace(subject, plausibility=())
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
+    asked = model.parameters.names_of_interest
+    stated = with_wider_priors(subject, model.parameters, asked, wider=1.0).priors
     if not has_priors("diagnose", priors):
-        asked = model.parameters.names_of_interest
         subject = with_wider_priors(subject, model.parameters, asked)
     knee, used = knee_with_equilibria(subject, laxity.without_forces(), start)
     kept = _with_forces(knee, laxity, used)
@@ -648,6 +657,7 @@ def diagnose_data(
     answer = replace(
         answer,
         trials_used=used.names,
+        under_limits=causes_under_limits(found, limits, stated, seed=seed) if limits else (),
         assumptions=(
             *answer.assumptions,
             *used.sentences,

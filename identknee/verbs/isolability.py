@@ -14,6 +14,7 @@ from identknee.runs.declare import array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
 from identknee.subject.knee import UncertainLike
+from identknee.subject.plausibility import PlausibleLike
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis, diagnose_data
@@ -138,6 +139,7 @@ def diagnose(
     priors: bool | None = None,
     keep: Sequence[str] | None = None,
     leave_out: Sequence[str] | None = None,
+    plausible: PlausibleLike = None,
     out: PathLike | None = None,
     seed: int = 0,
     workers: options.Workers = 1,
@@ -173,6 +175,7 @@ def diagnose(
     priors: options.Priors = None,
     keep: options.Keep = None,
     leave_out: options.LeaveOut = None,
+    plausible: options.Plausible = None,
     out: options.Out = None,
     seed: options.Seed = 0,
     workers: options.Workers = 1,
@@ -207,10 +210,13 @@ def diagnose(
             priors=priors,
             keep=keep,
             leave_out=leave_out,
+            plausible=plausible,
             out=out,
             seed=seed,
             workers=workers,
         )
+    if plausible is not None:
+        raise ValueError("--plausible compares causes by data; leave it out with --protocol")
     if noise is None or protocol is None:
         raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
     return isolability(

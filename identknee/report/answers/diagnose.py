@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 from typing_extensions import override
 
 from identknee.diagnosis.advice import Advice
+from identknee.diagnosis.believability import CauseUnderLimits
 from identknee.diagnosis.candidates import Exclusion
 from identknee.diagnosis.fitting import RivalState
 from identknee.diagnosis.gain import FLEXION
@@ -262,6 +263,61 @@ def _rise(gain: GainFound | FamilyGain) -> str:
     return f"{amount(gain.elpd_difference, '')} ± {amount(gain.elpd_se, '')}"
 
 
+def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
+    """What limits of plausibility cost the model, and which cause pays for it."""
+    base, *causes = models
+    if base.price is None:
+        return Statement(
+            question=Question.WRONG,
+            sentence="With limits of plausibility no fit has an equilibrium in every trial. Begin "
+            "one elsewhere with --start.",
+        )
+    sentence = f"Without a cause the limits of plausibility cost {base.price:.1f}."
+    if causes and causes[0].price is not None:
+        best = causes[0]
+        names = listed(map(cause_label, best.names))
+        sentence += f" With {names} they cost {best.price:.1f}."
+        if best.log_data_difference is not None and best.log_limits_difference is not None:
+            sentence += (
+                f" The data change its log evidence by {best.log_data_difference:.1f}; that a knee "
+                f"is plausible changes by {best.log_limits_difference:.1f}, which is no evidence "
+                "of these data."
+            )
+    heads = (
+        "model with limits",
+        ("price", 1),
+        ("beyond limits", 1),
+        ("log evidence of the data", 1),
+        ("log p(limits)", 1),
+        ("sd", 1),
+    )
+    rows = (
+        (
+            listed(map(cause_label, x.names)) or "no cause",
+            *map(
+                _known,
+                (
+                    x.price,
+                    x.of_limits,
+                    x.log_data_difference,
+                    x.log_limits_difference,
+                    x.log_limits_se,
+                ),
+            ),
+        )
+        for x in models
+    )
+    return Statement(
+        question=Question.WRONG,
+        sentence=sentence,
+        tables=(table("Causes where limits of plausibility count", heads, rows),),
+    )
+
+
+def _known(value: float | None) -> float | str:
+    return "not known" if value is None else value
+
+
 def _change(answer: Diagnosis) -> Statement:
     before, after = (_flat(x) for x in (answer.parameters_before, answer.parameters_after))
     old, new = (_flat(x) for x in (answer.parameters_before_ci95, answer.parameters_after_ci95))
@@ -390,6 +446,8 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
         # Null where no trial could be held out.
         if answer.gain is not None and answer.gain.rmse_held_out["after"].noise >= 0.0:
             yield _gain(answer.gain)
+        if answer.under_limits:
+            yield _under_limits(answer.under_limits)
         if answer.parameters_before is not None:
             yield _change(answer)
         if (whichever := _parameters_by_explanation(answer)) is not None:
