@@ -17,7 +17,7 @@ from work_store import work_store
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
 
-KNEES, N, LEVEL = ("reference", "lenhart2015_stable"), 40, 0.95
+KNEES, N, LEVEL = ("reference", "lenhart2015_stable"), 100, 0.95
 FIRST_SEED = 360_000
 SUPERPOSITION = "reference with superposition"
 
