@@ -276,12 +276,12 @@ def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
     if causes and causes[0].price is not None:
         best = causes[0]
         names = listed(map(cause_label, best.names))
-        sentence += f" With {names} they cost {best.price:.1f}."
+        sentence += f" With {names} as the cause they cost {best.price:.1f}."
         if best.log_data_difference is not None and best.log_limits_difference is not None:
             sentence += (
-                f" The data change its log evidence by {best.log_data_difference:.1f}; that a knee "
-                f"is plausible changes by {best.log_limits_difference:.1f}, which is no evidence "
-                "of these data."
+                f" The log evidence of the data changes by {best.log_data_difference:.1f}. The log "
+                "probability that a knee of the model is plausible changes by "
+                f"{best.log_limits_difference:.1f}, which is no evidence of these data."
             )
     heads = (
         "model with limits",
@@ -311,6 +311,7 @@ def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
         question=Question.WRONG,
         sentence=sentence,
         tables=(table("Causes where limits of plausibility count", heads, rows),),
+        is_answer=True,
     )
 
 
