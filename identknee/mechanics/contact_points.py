@@ -12,6 +12,7 @@ from identknee.mechanics.pose import Placement, place, rotation_matrix
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.progress import progress
+from identknee.runs.triangles import blocks, doubled_areas, lengths, side_names
 
 DEFAULT_NUMBER = 1500
 MOST_PIECES = 20  # a sheet is cut into about this many pieces a patch, or more
@@ -64,9 +65,7 @@ def contact_points(
 
 def triangle_areas(vertices: Array, faces: IntArray) -> Array:
     """Area of each triangle [mm2], shape ``(m,)``."""
-    corner = vertices[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return np.asarray(0.5 * np.linalg.norm(normal, axis=1))
+    return np.asarray(0.5 * lengths(doubled_areas(vertices, faces)))
 
 
 def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Array]:
@@ -89,7 +88,7 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     seeds = order[np.searchsorted(passed, (np.arange(number) + 0.5) * weight.sum() / number)]
     centroid = pieces[seeds]
     for _ in progress(range(ROUNDS), description="choosing contact points"):
-        nearest = cKDTree(centroid).query(pieces)[1]
+        nearest = cKDTree(centroid).query(pieces, workers=-1)[1]
         total, *sums = (
             np.asarray(np.bincount(nearest, values, len(centroid)), np.float64)
             for values in (weight, *(weight * pieces.T))
@@ -391,16 +390,21 @@ def _nearest(vertices: Array, places: Array) -> IntArray:
 
         return np.asarray(cKDTree(vertices).query(places)[1])
     middle = vertices.mean(axis=0)
-    around = vertices - middle
-    halves = 0.5 * np.sum(around**2, axis=1)
-    return np.asarray(np.argmin(halves - (places - middle) @ around.T, axis=1))
+    least, nearest = np.full(len(places), np.inf), np.zeros(len(places), np.int64)
+    for part in blocks(len(vertices)):
+        around = vertices[part] - middle
+        halves = 0.5 * np.sum(around**2, axis=1)
+        found = halves - (places - middle) @ around.T
+        here = np.argmin(found, axis=1)
+        lower = found[np.arange(len(places)), here]
+        is_nearer = lower < least
+        least[is_nearer], nearest[is_nearer] = lower[is_nearer], part.start + here[is_nearer]
+    return nearest
 
 
 def rim_distance(vertices: Array, faces: IntArray) -> RimDistance:
     """Distance from the rim of a triangle mesh: vertices ``(n, 3)`` [mm], faces ``(m, 3)``."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    # Whole numbers sort ten times as fast as pairs of them.
-    named, count = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    named, count = np.unique(side_names(faces, len(vertices)), return_counts=True)
     once = named[count == 1]
     is_on_rim = np.zeros(len(vertices), bool)
     is_on_rim[once // len(vertices)] = is_on_rim[once % len(vertices)] = True

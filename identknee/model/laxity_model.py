@@ -16,7 +16,6 @@ import numpy as np
 from identknee.laxity.experiments import INTACT
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.contact_points import (
     DEFAULT_NUMBER,
     ContactPlaces,
@@ -74,6 +73,7 @@ from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
+from identknee.subject.femoral_distance import distance_to_femur
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.menisci import (
     FIELD_REACH,
@@ -248,7 +248,7 @@ def _field(
         return DistanceField(**{**values, "spacing": float(values["spacing"])})
     if distance is None:
         with stage("sorting the femoral surface"):
-            distance = mesh_distance(femoral, knee.femur.faces)
+            distance = distance_to_femur(knee.femur, knee.femur_frame)
     lower, upper = femoral.min(axis=0), femoral.max(axis=0)
     field = build_field(distance, lower, upper, spacing=spacing, padding=padding)
     stored = io.BytesIO()

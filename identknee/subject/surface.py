@@ -23,6 +23,7 @@ from identknee.runs.arrays import (
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
+from identknee.runs.triangles import doubled_areas, lengths, longest_sides, side_names
 from identknee.subject.mesh_files import PARSERS, read_mesh
 
 # A triangle whose height is less, as a share of its longest edge, is a line; so is one whose height
@@ -92,7 +93,9 @@ def repaired(
     n_twice = len(split) - len(first)
     whole = split[first]
     turned = wound_otherwise(places, whole)
-    unused = len(vertices) - len(np.unique(faces))
+    is_used = np.zeros(len(vertices), bool)
+    is_used[faces] = True
+    unused = int((~is_used).sum())
     found = Repairs(without_area=n_flat, twice=n_twice, turned=int(turned.sum()), unused=unused)
     if len(whole) == 0:
         raise ValueError("none of its triangles has an area")
@@ -140,14 +143,11 @@ def merged(vertices: Array, faces: IntArray) -> tuple[Array, IntArray]:
 
 def flat_triangles(vertices: Array, faces: IntArray) -> BoolArray:
     """Which triangles are lines or points, shape ``(m,)``."""
-    corners = vertices[faces]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    doubled = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    longest = edges.max(axis=1)
-    far = np.abs(corners).max(axis=(1, 2))
-    return np.asarray(doubled <= longest * (FLAT * longest + SINGLE * far))
+    longest = longest_sides(vertices, faces)
+    far = np.abs(vertices).max(axis=1)
+    farthest = np.maximum(np.maximum(far[faces[:, 0]], far[faces[:, 1]]), far[faces[:, 2]])
+    doubled = lengths(doubled_areas(vertices, faces))
+    return np.asarray(doubled <= longest * (FLAT * longest + SINGLE * farthest))
 
 
 def _without_fillers(vertices: Array, faces: IntArray, is_flat: BoolArray) -> tuple[IntArray, int]:
@@ -214,10 +214,7 @@ def wound_otherwise(vertices: Array, faces: IntArray) -> BoolArray:
         return none
     one, other, agrees = _neighbours(faces)
     parts, flips = _signs(len(faces), one // 3, other // 3, agrees)
-    corners = vertices[faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = lengths(doubled_areas(vertices, faces))
     backward = np.bincount(parts, area * flips) > np.bincount(parts, area * ~flips)
     turned = flips ^ backward[parts]
     agreed = agrees == (turned[one // 3] == turned[other // 3])
@@ -329,10 +326,9 @@ class Surface:
         vertices = frozen(self.vertices, None, 3, name="vertices")
         faces = frozen_integers(self.faces)
         _check(vertices, faces)
-        a, b, c = (vertices[faces[:, i]] for i in range(3))
-        doubled = np.cross(b - a, c - a)
-        length = np.linalg.norm(doubled, axis=1)
-        normals = doubled / np.where(length > 0.0, length, 1.0)[:, None]
+        normals = doubled_areas(vertices, faces)
+        length = lengths(normals)
+        normals /= np.where(length > 0.0, length, 1.0)[:, None]
         corners = np.bincount(
             faces.ravel(), weights=np.repeat(length / 6.0, 3), minlength=len(vertices)
         )
@@ -345,9 +341,8 @@ class Surface:
     @property
     def boundary_edges(self) -> IntArray:
         """Vertex numbers of the edges that only one triangle has, shape ``(k, 2)``."""
-        edges, n = np.sort(self.edges, axis=1), len(self.vertices)
-        # Whole numbers sort ten times as fast as pairs of them.
-        named, count = np.unique(edges[:, 0] * n + edges[:, 1], return_counts=True)
+        n = len(self.vertices)
+        named, count = np.unique(side_names(self.faces, n), return_counts=True)
         once = named[count == 1]
         return frozen_integers(np.stack([once // n, once % n], axis=1))
 
@@ -428,13 +423,14 @@ def read_surface(path: PathLike) -> Surface:
             "Repair the mesh and export it again.",
         )
     try:
-        found = surface_of(mesh.vertices, mesh.faces, is_soup=mesh.is_soup)
+        return surface_of(mesh.vertices, mesh.faces, is_soup=mesh.is_soup, remarks=mesh.remarks)
     except ValueError as error:
         raise InputError(file, "", str(error), "Repair the mesh and export it again.") from error
-    return replace(found, repairs=found.repairs + Repairs(remarks=mesh.remarks))
 
 
-def surface_of(vertices: Array, faces: IntArray, *, is_soup: bool = False) -> Surface:
+def surface_of(
+    vertices: Array, faces: IntArray, *, is_soup: bool = False, remarks: tuple[str, ...] = ()
+) -> Surface:
     """A surface of vertices ``(n, 3)`` [mm] and triangles ``(m, 3)``, mended as files are.
 
     Parameters
@@ -443,6 +439,8 @@ def surface_of(vertices: Array, faces: IntArray, *, is_soup: bool = False) -> Su
         Places, and the numbers of the vertices of each triangle from 0.
     is_soup
         Whether every triangle has vertices of its own.
+    remarks
+        What was odd about where they come from, as clauses.
 
     Raises
     ------
@@ -452,7 +450,7 @@ def surface_of(vertices: Array, faces: IntArray, *, is_soup: bool = False) -> Su
     whole, triangles = frozen(vertices, None, 3, name="vertices"), frozen_integers(faces)
     _check(whole, triangles)
     places, numbered, found = repaired(whole, triangles, is_soup=is_soup)
-    return Surface(vertices=places, faces=numbered, repairs=found)
+    return Surface(vertices=places, faces=numbered, repairs=found + Repairs(remarks=tuple(remarks)))
 
 
 def write_surface(surface: Surface, path: PathLike) -> Path:

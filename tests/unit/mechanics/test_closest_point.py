@@ -8,6 +8,7 @@ import trimesh
 from tolerances import SAME_POSE
 
 from identknee.mechanics.closest_point import LEAF_SIZE, _build_tree, mesh_distance
+from identknee.mechanics.closest_triangle import disc_distance, write_discs
 from identknee.runs.arrays import Array, IntArray
 from identknee.subject.reference import reference_knee
 
@@ -134,3 +135,28 @@ def test_a_tree_holds_every_triangle_once_in_boxes_within_boxes(n: int) -> None:
         middle = spans[here + 1, 1]
         assert (spans[here + 1, 0], spans[right, 0], spans[right, 1]) == (first, middle, end)
     assert leaves == list(range(n))
+
+
+def _disc_distances(points: Array, disc: Array) -> Array:
+    return np.sqrt([disc_distance(*x, disc) for x in points])
+
+
+def test_a_disc_holds_its_triangles_and_is_thin(sheet: trimesh.Trimesh) -> None:
+    """A point is no nearer a node's triangles than its disc, and nodes of a sheet are flat."""
+    corners = np.array(sheet.triangles)
+    order, _, spans = _build_tree(corners)
+    discs = np.empty((len(spans), 8))
+    normals = np.ascontiguousarray(sheet.face_normals[order])
+    write_discs(np.ascontiguousarray(corners[order]), normals, spans, discs)
+    points = np.random.default_rng(5).uniform(-60.0, 60.0, (20, 3))
+    for disc, (first, end, _) in zip(discs, spans.tolist(), strict=True):
+        own = corners[order[first:end]].reshape(-1, 3)
+        assert (_disc_distances(own, disc) == 0.0).all()
+        away = np.linalg.norm(points[:, None] - own, axis=2).min(axis=1)
+        assert (_disc_distances(points, disc) <= away).all()
+    leaves = discs[spans[:, 2] < 0]
+    assert np.median(leaves[:, 6] / leaves[:, 7]) < 0.15
+    # A disc is no ball: above its middle it is as far away as its own plane.
+    flat = leaves[0]
+    above = flat[:3] + 10.0 * flat[3:6]
+    assert disc_distance(*above, flat) == pytest.approx((10.0 - flat[6]) ** 2)

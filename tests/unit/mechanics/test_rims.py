@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from identknee.mechanics.contact_points import rim_distance
+from identknee.runs import triangles
 from identknee.runs.arrays import Array, IntArray
 
 HALF, EDGE = 10.0, 0.5
@@ -34,6 +35,16 @@ def test_a_place_has_the_distance_of_the_nearest_vertex() -> None:
     found = rim_distance(*_square()).at(places)
     # The nearest vertex lies at most half an edge's diagonal away along the sheet.
     assert np.abs(found - exact).max() <= np.sqrt(0.5) * EDGE
+
+
+def test_few_places_are_looked_up_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sheet with more vertices than are looked at together gives the same."""
+    places = np.random.default_rng(1).uniform([-9, -2, -9], [9, 2, 9], (50, 3))
+    sheet = rim_distance(*_square())
+    whole = sheet.at(places)
+    monkeypatch.setattr(triangles, "AT_ONCE", 100)
+    assert len(sheet.vertices) > 10 * triangles.AT_ONCE
+    np.testing.assert_array_equal(sheet.at(places), whole)
 
 
 def test_a_place_beside_the_sheet_is_on_the_rim() -> None:

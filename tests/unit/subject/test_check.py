@@ -8,9 +8,12 @@ import pytest
 from posed_knees import posed_reference
 from scipy.spatial.transform import Rotation
 
-from identknee.runs.arrays import IntArray
+from identknee.mechanics.closest_point import mesh_distance
+from identknee.model.laxity_model import contact_geometry
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import InputError
 from identknee.runs.findings import Severity
+from identknee.subject import femoral_distance
 from identknee.subject.check import GeometryFinding, check_geometry, fatal_geometry_findings
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Frame, Knee, Landmark, Side
@@ -42,6 +45,24 @@ def test_named_subjects_raise_no_alarm() -> None:
         assert alarming(findings) == []
         assert {x.code for x in findings} == {"surface-contact"}
         assert {round(x.values["depth_mm"], 2) for x in findings} == {0.41, 0.36}
+
+
+def test_the_femur_is_sorted_once_for_contact_and_check(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("IDENTKNEE_CACHE", str(tmp_path))
+    built: list[int] = []
+
+    def counted(vertices: Array, faces: IntArray) -> Callable[[Array], Array]:
+        built.append(len(faces))
+        return mesh_distance(vertices, faces)
+
+    monkeypatch.setattr(femoral_distance, "mesh_distance", counted)
+    found = example("lenhart2015_stable")
+    knee = replace(found, femur=found.femur.moved(np.eye(3), [0.0, 0.01, 0.0]))
+    contact_geometry(knee)
+    assert not alarming(check_geometry(knee))
+    assert built == [len(knee.femur.faces)]
 
 
 def _closed(surface: Surface) -> Surface:
