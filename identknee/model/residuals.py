@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from identknee.laxity.noise import noise_fault
-from identknee.laxity.protocol import Protocol, from_zero
+from identknee.laxity.protocol import Protocol, from_zero, nominal_flexion
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.pose import coordinate_jacobian
@@ -404,14 +404,17 @@ def with_shared(residuals: LaxityResiduals, columns: Array) -> LaxityResiduals:
 def shared_errors(model: LaxityModel, theta: Array) -> Array:
     """Change of the coordinates by errors of one standard deviation, shape ``(n, 5, k)``.
 
-    An offset of each coordinate for every angle of flexion of a mounting, an error of flexion for
-    every trial, and smooth offsets of the cartilage sheets, as far as the knee states them. The two
-    last are linear at `theta`; NaN in trials that have no equilibrium there.
+    An offset of each coordinate for every nominal angle of flexion of a mounting, an error of
+    flexion for every trial, and smooth offsets of the cartilage sheets, as far as the knee states
+    them. The two last are linear at `theta`; NaN in trials that have no equilibrium there.
     """
     stated = model.knee.uncertainty
     sizes = [stated.zero_deg if x.endswith("_deg") else stated.zero_mm for x in COORDINATES]
-    mounted = np.column_stack([model.protocol.mounting, model.protocol.flexion_deg])
-    places, group = np.unique(mounted, axis=0, return_inverse=True)
+    mounting, angle = model.protocol.mounting, np.array(model.protocol.flexion_deg)
+    for each in np.unique(mounting):
+        # Angles that a robot reads a little apart are one.
+        angle[mounting == each] = nominal_flexion(model.protocol.select(mounting == each))
+    places, group = np.unique(np.column_stack([mounting, angle]), axis=0, return_inverse=True)
     columns = np.zeros((model.protocol.n, len(COORDINATES), len(places), len(COORDINATES)))
     for trial, place in enumerate(group):
         columns[trial, :, place, :] = np.diag(sizes)

@@ -27,6 +27,19 @@ def test_zeros_are_common_to_a_flexion_angle() -> None:
         np.testing.assert_allclose(covariance[a, :, b], expected, atol=1e-15)
 
 
+def test_a_robot_has_one_zero_for_angles_that_it_reads_a_little_apart() -> None:
+    protocol = small_protocol()
+    apart = 0.1 * np.arange(protocol.n)
+    read = replace(protocol, flexion_deg=protocol.flexion_deg + apart)
+    knee = small_knee().with_uncertainty(Uncertainty(zero_mm=0.3))
+    found, meant = (
+        shared_errors(model, model.parameters.start)
+        for model in (LaxityModel(knee=knee, protocol=x) for x in (read, protocol))
+    )
+    assert np.unique(read.flexion_deg).size == read.n > np.unique(protocol.flexion_deg).size
+    np.testing.assert_allclose(found, meant)
+
+
 def test_flexion_errs_trial_by_trial() -> None:
     model = uncertain(Uncertainty(trial_flexion_deg=0.5))
     columns = shared_errors(model, model.parameters.start)
