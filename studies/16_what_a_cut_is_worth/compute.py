@@ -1,5 +1,7 @@
-"""Slow part of the study: intervals of every parameter after each way to spend the same trials.
+"""Slow part of the study: what each way to spend trials tells, and what forces of the ACL do.
 
+Intervals of every parameter after each plan on two knees with a capsule; slack lengths of 18
+ligaments from laxity and ACL forces; and a measured knee, with what its laboratory could have done.
 Writes ``records/what_a_cut_is_worth.json``. Finished cases are kept in a store outside the
 checkout, so that the same command resumes where it was stopped.
 """
@@ -12,8 +14,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import laboratory
 import numpy as np
+import slack_lengths
 from common.records import (
+    BUNDLES,
+    Kept,
     Row,
     begun,
     parsed_options,
@@ -32,6 +38,7 @@ from identknee.model.line_loads import structure_values
 from identknee.subject.knee import Uncertainty
 
 KNEES = ("reference", "lenhart2015_stable")
+MEASURED = "s192803"
 LIGAMENTS = ("ACL", "PCL", "LCL", "MCL")
 PROTOCOL, NOISE, INSERTIONS_MM = "table2", 0.5, 2.0
 TENSION_SD, CONTACT_SD = 5.0, 20.0
@@ -51,26 +58,45 @@ def main() -> None:
     options = parsed_options(__file__, "one knee, two plans")
     names = KNEES[:1] if options.quick else KNEES
     plans = list(PLANS)[:2] if options.quick else list(PLANS)
+    seeds = range(0 if options.quick else slack_lengths.N_REPLICATES)
     record = begun(
         options,
-        names,
+        names if options.quick else (*names, BUNDLES, MEASURED),
         protocol=PROTOCOL,
         noise=NOISE,
         insertions_mm=INSERTIONS_MM,
         tension_sd_N=TENSION_SD,
         contact_sd_N=CONTACT_SD,
+        seeds=list(seeds),
     )
     tasks = [{"knee": name, "plan": plan} for name in names for plan in plans]
     began = time.perf_counter()
     known = {"inputs": record["head"]["inputs"], "plans": {x: list(PLANS[x][0]) for x in plans}}
     with working(options, **known) as kept:
         rows = kept(partial(plan_row), tasks, "plans")
-    for name in names:
-        own = [x for x, task in zip(rows, tasks, strict=True) if task["knee"] == name]
-        record["knees"][name] = {"plans": own}
+        for name in names:
+            own = [x for x, task in zip(rows, tasks, strict=True) if task["knee"] == name]
+            record["knees"][name] = {"plans": own}
+        if not options.quick:
+            calibrations = [{"seed": i, "way": x} for i in seeds for x in slack_lengths.WAYS]
+            found = kept(slack_lengths.calibrated, calibrations, "calibrations")
+            record["knees"][BUNDLES] = {"calibrations": found}
+            record["knees"][MEASURED] = measured_knee(kept)
     record["seconds_last_run"] = rounded(time.perf_counter() - began, 3)
     write_record(options.record, record)
-    say(f"written: {options.record.name}, {len(rows)} plans")
+    say(f"written: {options.record.name}")
+
+
+def measured_knee(kept: Kept) -> Row:
+    """What the laboratory of the measured knee could have done, and what `design` would advise."""
+    (found,) = kept(laboratory.found_knee, [{"knee": MEASURED}], "knee")
+    theta = found["theta"]
+    plans = [{"plan": x, "theta": theta} for x in laboratory.PLANS]
+    part: Row = {"found": found, "plans": kept(laboratory.plan_row, plans, "laboratory")}
+    (part["advice"],) = kept(laboratory.advice_row, [{"theta": theta}], "advice")
+    steps = [{"step": x, "theta": theta} for x in ({}, *part["advice"]["steps"])]
+    part["steps"] = kept(laboratory.step_row, steps, "steps")
+    return part
 
 
 def plan_row(task: Row, parameters: list[str] | None = None) -> Row:
