@@ -39,6 +39,12 @@ PREDICTED = {
     "others, tested": "others, trials tested",
     "others, not tested": "others, other trials",
 }
+# Of the loads of a protocol in their order; compression is held in all trials.
+DIRECTIONS = (
+    (("external", "internal"), "N·m"),
+    (("valgus", "varus"), "N·m"),
+    (("posterior", "anterior"), "N"),
+)
 KINDS = {
     "stiffness_kN": ("stiffness", "kN"),
     "reference_strain_pct": ("strain", "%"),
@@ -276,12 +282,10 @@ def advice_table(part: Row) -> ik.report.Table:
     base, *steps = part["steps"]
     return table(
         "The best single step of each kind after one pass of the trials",
-        "step; kind; narrows by, forecast [%] | 0; got [%] | 0; "
-        "intervals closed before and after | 0",
+        "step; narrows by, forecast [%] | 0; got [%] | 0; intervals closed before and after | 0",
         [
             (
                 step_words(said),
-                said["kind"],
                 100.0 * said["narrowing"],
                 *narrowed(base["ends"], got["ends"]),
             )
@@ -299,11 +303,21 @@ def narrowed(before: Row, after: Row) -> tuple[float, int]:
 
 def step_words(step: Row) -> str:
     """A step in words."""
-    name = str(step["name"])
     if step["kind"] == "error":
-        kind, _, place = name.partition(".")
+        kind, _, place = str(step["name"]).partition(".")
         return f"{kind} of {place.replace('_', ', ')} known twice as well"
-    return name
+    loads = [
+        f"{words[x > 0.0]} {abs(x):.3g} {unit}"
+        for x, (words, unit) in zip(step["loads"], DIRECTIONS, strict=False)
+        if x
+    ]
+    trial = f"{' and '.join(loads)} at {step['flexion_deg']:.0f} deg"
+    return {
+        "cut": f"{step['structure']} cut, {trial}",
+        "force": f"{step['structure']} force, {trial}",
+        "contact": f"contact forces, {trial}",
+        "trial": f"one more trial, {trial}",
+    }[step["kind"]]
 
 
 def words(ends: list[float | None]) -> str:
