@@ -1,13 +1,23 @@
 """Figures of results side by side: forest plots, and the deviance by its terms."""
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.lines import Line2D
 
 from identknee.report.canvas import Figure
 from identknee.report.comparison import ComparedMisfit, ComparedQuantity
-from identknee.report.figures import COLOURS, MARKERS, SMALL, bare, legend_below
+from identknee.report.figures import (
+    COLOURS,
+    MARKERS,
+    SMALL,
+    bare,
+    legend_below,
+    one_panel,
+    panel_grid,
+    rows_down,
+)
 from identknee.runs.words import label_without_unit, unit_of
 
 # Height of a row for each result, and of an axis beside its rows [inches].
@@ -33,10 +43,9 @@ def forest_figure(quantities: Sequence[ComparedQuantity], names: Sequence[str]) 
     groups = [[x for x in quantities if unit_of(x.name) == unit] for unit in units]
     n = len(names)
     height = sum(AROUND + len(x) * (0.12 + ROW * n) for x in groups) + 0.4
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     heights = [len(x) + 0.4 for x in groups]
-    grid = figure.subplots(len(groups), squeeze=False, height_ratios=heights)[:, 0]
-    for axes, unit, group in zip(grid, units, groups, strict=True):
+    figure, grid = panel_grid(WIDTH, height, len(groups), 1, height_ratios=heights)
+    for axes, unit, group in zip(grid[:, 0], units, groups, strict=True):
         ends = [
             y
             for x in group
@@ -63,13 +72,15 @@ def forest_figure(quantities: Sequence[ComparedQuantity], names: Sequence[str]) 
                         stand.estimate, place, MARKERS[k % len(MARKERS)], color=colour,
                         markersize=5, markerfacecolor=colour if stand.has_set else "white",
                     )  # fmt: skip
-        axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
-        axes.set_ylim(len(group) - 0.5, -0.5)
+        rows_down(axes, [label_without_unit(x.name) for x in group], 0.5)
         axes.set_xlim(low - 2.0 * room, high + 2.0 * room)
         axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=SMALL)
-        axes.tick_params(labelsize=SMALL)
-        bare(axes, grid="x")
-    legend_below(figure, [_handle(k, name) for k, name in enumerate(names)], columns=4)
+        bare(axes, grid="x", labelsize=SMALL)
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)
+        for name, colour, marker in zip(names, cycle(COLOURS), cycle(MARKERS), strict=False)
+    ]
+    legend_below(figure, handles, columns=4)
     return figure
 
 
@@ -81,25 +92,15 @@ def misfit_figure(misfits: Sequence[ComparedMisfit]) -> Figure:
     misfits
         Of results with a deviance, of the same data.
     """
-    figure = Figure(figsize=(WIDTH, 1.3 + 0.35 * len(misfits)), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = one_panel(WIDTH, 1.3 + 0.35 * len(misfits))
     terms = list(dict.fromkeys(y.name for x in misfits for y in x.terms))
     rows, begun = np.arange(len(misfits)), np.zeros(len(misfits))
     for k, term in enumerate(terms):
         sizes = [sum(y.deviance for y in x.terms if y.name == term) for x in misfits]
         axes.barh(rows, sizes, 0.6, begun, color=COLOURS[k % len(COLOURS)], label=term)
         begun = begun + sizes
-    axes.set_yticks(rows, [x.name for x in misfits])
-    axes.set_ylim(len(misfits) - 0.4, -0.6)
+    rows_down(axes, [x.name for x in misfits])
     axes.set_xlabel("deviance", fontsize=SMALL + 1)
-    axes.tick_params(labelsize=SMALL)
-    bare(axes, grid="x")
+    bare(axes, grid="x", labelsize=SMALL)
     legend_below(figure, *axes.get_legend_handles_labels(), columns=3)
     return figure
-
-
-def _handle(k: int, name: str) -> Line2D:
-    """The line of a result in the legend."""
-    colour = COLOURS[k % len(COLOURS)]
-    marker = MARKERS[k % len(MARKERS)]
-    return Line2D([], [], color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)

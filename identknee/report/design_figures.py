@@ -11,11 +11,22 @@ from numpy.typing import ArrayLike
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.trial_words import UNLOADED, loads_words
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES, bare
+from identknee.report.figures import (
+    BLACK,
+    COLOURS,
+    GREY,
+    MARKERS,
+    SMALL,
+    STYLES,
+    bare,
+    one_panel,
+    panel_rows,
+    rows_down,
+)
 from identknee.runs.arrays import Array
 
-# Before, predicted, achieved.
-KINDS = ("before", "predicted", "achieved")
+# Panels side by side.
+ACROSS = 4
 
 
 def intervals_figure(
@@ -32,22 +43,16 @@ def intervals_figure(
     intervals
         By kind, ends of each, shape ``(t, 2)``; NaN for an open end, drawn as an arrow.
     """
-    columns = min(len(targets), 4)
-    rows = -(-len(targets) // columns)
-    figure = Figure(figsize=(0.8 + 2.5 * columns, 0.5 + 1.5 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[len(targets) :]:
-        axes.set_visible(False)
+    figure, panels = panel_rows(len(targets), (2.5, 1.5), (0.8, 0.5), ACROSS)
     ends = {kind: np.asarray(values, float) for kind, values in intervals.items()}
-    for t, (axes, name) in enumerate(zip(grid.flat, targets, strict=False)):
+    for t, (axes, name) in enumerate(zip(panels, targets, strict=True)):
         center = float(np.asarray(best)[t])
         known = np.array([x[t] for x in ends.values()])
         reach = float(np.nanmax(np.abs(known - center), initial=0.0)) or 1.0
         for k, values in enumerate(ends.values()):
             _bar(axes, values[t], (center, reach), k)
         axes.axvline(center, color="0.8", linewidth=0.8, zorder=0)
-        axes.set_yticks(range(len(ends)), list(ends) if t % columns == 0 else [])
-        axes.set_ylim(len(ends) - 0.5, -0.5)
+        rows_down(axes, list(ends) if t % ACROSS == 0 else [""] * len(ends), 0.5)
         axes.set_title(name, fontsize=SMALL + 1)
         axes.tick_params(axis="x", labelsize=SMALL)
         axes.spines[["top", "right", "left"]].set_visible(False)
@@ -93,16 +98,12 @@ def candidates_figure(
             i, j = rows.index(text), int(np.searchsorted(angles, candidates.flexion_deg[k]))
             places[k], table[i, j] = (j, i), gains[k]
             lost += [(j, i)] if np.isnan(gains[k]) else []
-    width, height = 4.6 + 0.5 * len(angles), 1.8 + 0.22 * len(rows)
-    figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(4.6 + 0.5 * len(angles), 1.8 + 0.22 * len(rows))
     image = axes.imshow(table, cmap="cividis", aspect="auto", vmin=0.0)
     for place in lost:
         axes.plot(*place, "x", color=GREY, markersize=4)
-    for k, order in {
-        place: str(list(chosen).index(place) + 1) + (f" x{n}" if n > 1 else "")
-        for place, n in Counter(chosen).items()
-    }.items():
+    for k, n in Counter(chosen).items():
+        order = f"{list(chosen).index(k) + 1}{f' x{n}' if n > 1 else ''}"
         axes.plot(*places[k], "o", color="white", markersize=19, markeredgecolor=BLACK)
         axes.annotate(order, places[k], ha="center", va="center", fontsize=7)
     axes.set_xticks(range(len(angles)), [f"{x:g}" for x in angles])
@@ -122,8 +123,7 @@ def steps_figure(widths: Mapping[str, ArrayLike], achieved: Mapping[str, float])
     achieved
         By target the same with all trials added, by profile.
     """
-    figure = Figure(figsize=(5.4, 3.8), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(5.4, 3.8)
     for k, (name, values) in enumerate(widths.items()):
         steps = np.arange(len(np.asarray(values)))
         colour = COLOURS[k % len(COLOURS)]
@@ -138,9 +138,8 @@ def steps_figure(widths: Mapping[str, ArrayLike], achieved: Mapping[str, float])
         )
         axes.plot(steps[-1], achieved[name], "D", color=colour, fillstyle="none", markersize=8)
     axes.plot([], [], "D", color=GREY, fillstyle="none", label="achieved")
-    axes.set_xlabel("trials added")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylabel("relative width of the 95 % interval")
+    axes.set(xlabel="trials added", ylabel="relative width of the 95 % interval")
     axes.set_ylim(bottom=0.0)
     axes.grid(color="0.92")
     axes.legend(frameon=False, fontsize=SMALL, ncols=2)

@@ -32,6 +32,10 @@ from identknee.report.figures import (
     bare,
     legend_below,
     number,
+    one_panel,
+    panel_grid,
+    panel_rows,
+    rows_down,
     wrapped,
 )
 from identknee.report.laxity_figures import LaxityCurves, by_load_figure
@@ -170,8 +174,7 @@ def residuals_figure(
     if not curves or not whole.on_curves().all():
         return by_load_figure(whole, LEFT_OVER)
     size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(rows), len(curves), squeeze=False, sharey="row", sharex="col")
+    figure, grid = panel_grid(*size, len(rows), len(curves), sharey="row", sharex="col")
     for column, curve in enumerate(curves):
         for axes, i in zip(grid[:, column], rows, strict=True):
             spread = 2.0 * sd[:, i][curve.trials]
@@ -180,8 +183,7 @@ def residuals_figure(
             axes.plot(
                 curve.load, residuals[:, i][curve.trials], "o", color=MEASURED, markersize=2.8
             )
-            axes.tick_params(labelsize=TINY)
-            bare(axes)
+            bare(axes, labelsize=TINY)
             for k, change in enumerate(changes.values(), start=1):
                 values = change[curve.trials, i]
                 axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
@@ -217,8 +219,7 @@ def added_variable_figure(added: AddedVariable) -> Figure:
     """
     expected, left, flexion = added.expected, added.left, added.flexion_deg
     name = cause_label(added.name)
-    figure = Figure(figsize=(5.0, 4.8), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(5.0, 4.8)
     for k, angle in enumerate(np.unique(flexion)):
         own = flexion == angle
         axes.plot(
@@ -249,8 +250,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
     Right of the line lies the largest score of all in 5 % of data without any effect.
     """
     order = list(steps[0].scores)
-    figure = Figure(figsize=(7.4, 1.3 + 0.24 * len(order)), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(7.4, 1.3 + 0.24 * len(order))
     height = 0.8 / len(steps)
     for k, step in enumerate(steps):
         places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
@@ -265,8 +265,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
             label=f"with {beside}" if beside else WITHOUT_CAUSE,
         )
         axes.axvline(step.quantile, color=COLOURS[k], linestyle=STYLES[1], linewidth=1.0)
-    axes.set_yticks(range(len(order)), [cause_label(x) for x in order], fontsize=SMALL)
-    axes.set_ylim(len(order) - 0.4, -0.6)
+    rows_down(axes, [cause_label(x) for x in order], fontsize=SMALL)
     axes.set_xlim(left=0.0)
     axes.set_xlabel(
         "score [normal deviate]\ndashed line: the largest of all by chance in 5 % of data",
@@ -289,8 +288,7 @@ def isolability_figure(distances: Distances) -> Figure:
     np.fill_diagonal(values, np.nan)
     values[~np.isfinite(values)] = np.nan
     size = 3.4 + 0.33 * len(names)
-    figure = Figure(figsize=(size + 0.8, size), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(size + 0.8, size)
     axes.set_facecolor("0.85")
     image = axes.imshow(values, cmap="magma", vmin=0.0)
     for (row, column), value in np.ndenumerate(values):
@@ -300,8 +298,7 @@ def isolability_figure(distances: Distances) -> Figure:
     labels = [cause_label(x) for x in names]
     axes.set_xticks(range(len(names)), labels, rotation=90, fontsize=TINY)
     axes.set_yticks(range(len(names)), labels, fontsize=TINY)
-    axes.set_xlabel("cause fitted in its place")
-    axes.set_ylabel("true cause")
+    axes.set(xlabel="cause fitted in its place", ylabel="true cause")
     return figure
 
 
@@ -338,8 +335,8 @@ def estimates_figure(
         True values by whole name, where they are known.
     """
     ligaments = list(next(iter(fits.values())))
-    figure = Figure(figsize=(1.0 + 1.5 * len(ligaments), 4.6), layout="constrained")
-    grid = figure.subplots(len(QUANTITIES), len(ligaments), squeeze=False)
+    n = len(ligaments)
+    figure, grid = panel_grid(1.0 + 1.5 * n, 4.6, len(QUANTITIES), n)
     for row, (quantity, words) in zip(grid, QUANTITIES.items(), strict=True):
         for axes, ligament in zip(row, ligaments, strict=True):
             for k, (name, tree) in enumerate(fits.items()):
@@ -359,10 +356,8 @@ def estimates_figure(
             if truth is not None and f"{ligament}.{quantity}" in truth:
                 true = truth[f"{ligament}.{quantity}"]
                 axes.axhline(true, color=BLACK, linewidth=1.0, label="truth")
-            axes.set_xlim(-0.7, len(fits) - 0.3)
-            axes.set_xticks([])
-            axes.tick_params(labelsize=SMALL)
-            bare(axes)
+            axes.set(xlim=(-0.7, len(fits) - 0.3), xticks=[])
+            bare(axes, labelsize=SMALL)
         row[0].set_ylabel(words)
     for axes, ligament in zip(grid[0], ligaments, strict=True):
         axes.set_title(wrapped(ligament, 14), fontsize=9)
@@ -445,21 +440,12 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
     pulls = largest_pulls(answer.missing_wrench)
     if not pulls:
         return None
-    across = min(len(pulls), PULLS_ACROSS)
-    down = -(-len(pulls) // across)
-    size = (0.4 + PANEL[0] * across, 1.3 + PANEL[1] * down)
-    figure = Figure(figsize=size, layout="constrained")
+    figure, panels = panel_rows(len(pulls), PANEL, (0.4, 1.3), PULLS_ACROSS)
+    width = figure.get_figwidth()
     of_many = len(answer.missing_wrench) > len(pulls)
     which = f", the largest {len(pulls)} of {len(answer.missing_wrench)}" if of_many else ""
-    figure.suptitle(
-        wrapped(
-            f"missing force and moment on the tibia, seen from above{which}", int(14 * size[0])
-        ),
-        fontsize=10,
-    )
-    grid = figure.subplots(down, across, squeeze=False)
-    for unused in grid.flat[len(pulls) :]:
-        unused.remove()
+    title = f"missing force and moment on the tibia, seen from above{which}"
+    figure.suptitle(wrapped(title, int(14 * width)), fontsize=10)
     known = [x for x in pulls if x.p_value <= LEVEL] or pulls
     tiny = np.finfo(np.float64).tiny
     force = max(*map(_force, known), tiny)
@@ -472,7 +458,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
     lines = {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
     # Arrows cross what is written beside them: names stand where these are shortest.
     least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
-    for pull, axes in zip(pulls, grid.flat, strict=False):
+    for pull, axes in zip(pulls, panels, strict=True):
         _draw_plateau(axes, knee, lines, is_named=pull is least)
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)
         axes.set_title(f"{pull.flexion_deg:g} deg, {pull.direction}", fontsize=9)
@@ -487,10 +473,10 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
     legend_below(
         figure,
         handles,
-        columns=min(across, 4),
+        columns=min(len(pulls), PULLS_ACROSS),
         title=wrapped(
             "up is anterior, right is lateral, an arc counterclockwise is an internal moment",
-            int(15 * size[0]),
+            int(15 * width),
         ),
         title_fontsize=SMALL,
     )

@@ -59,12 +59,45 @@ def wrapped(text: str, letters: int = LEGEND_LETTERS) -> str:
     return "\n".join(wrap(text, letters, break_long_words=False))
 
 
+def one_panel(width: float, height: float) -> tuple[Figure, Axes]:
+    """A figure of so many inches, and its one panel."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots()
+
+
+def panel_grid(
+    width: float, height: float, rows: int, columns: int, **how: Any
+) -> tuple[Figure, Any]:
+    """A figure of so many inches, and its panels, an array of rows and columns."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **how)
+
+
 def panel_row(
     n: int, *, width: float, height: float, sharey: bool = False
 ) -> tuple[Figure, list[Axes]]:
     """A figure of `n` panels side by side, and the panels."""
-    figure = Figure(figsize=(0.7 + width * n, height), layout="constrained")
-    return figure, list(figure.subplots(1, n, squeeze=False, sharey=sharey)[0])
+    figure, grid = panel_grid(0.7 + width * n, height, 1, n, sharey=sharey)
+    return figure, list(grid[0])
+
+
+def panel_rows(
+    n: int, size: tuple[float, float], around: tuple[float, float], across: int, **how: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `n` panels, so many across, of so many inches each and so many more in all."""
+    columns = max(1, min(n, across))
+    rows = max(1, -(-n // columns))
+    width, height = around[0] + size[0] * columns, around[1] + size[1] * rows
+    figure, grid = panel_grid(width, height, rows, columns, **how)
+    for unused in grid.flat[n:]:
+        unused.remove()
+    return figure, list(grid.flat[:n])
+
+
+def rows_down(axes: Axes, labels: Sequence[str], room: float = 0.6, **how: Any) -> None:
+    """Give axes a row for each label, the first on top, with some room around them."""
+    axes.set_yticks(range(len(labels)), labels, **how)
+    axes.set_ylim(len(labels) - 1 + room, -room)
 
 
 def legend_below(
@@ -91,9 +124,13 @@ def legend_below(
     )
 
 
-def bare(axes: Axes, grid: Literal["x", "y"] | None = None) -> None:
+def bare(
+    axes: Axes, grid: Literal["x", "y"] | None = None, *, labelsize: float | None = None
+) -> None:
     """Axes without a frame above and on the right, with pale lines across one of them."""
     axes.spines[["top", "right"]].set_visible(False)
+    if labelsize is not None:
+        axes.tick_params(labelsize=labelsize)
     if grid is not None:
         axes.grid(axis=grid, color="0.92")
         axes.set_axisbelow(True)

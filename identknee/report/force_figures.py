@@ -4,7 +4,15 @@ import numpy as np
 
 from identknee.checks.compared_forces import ComparedForces
 from identknee.report.canvas import Figure
-from identknee.report.figures import FIT, MEASURED, SMALL, bare, legend_below
+from identknee.report.figures import (
+    FIT,
+    MEASURED,
+    SMALL,
+    bare,
+    legend_below,
+    panel_rows,
+    rows_down,
+)
 from identknee.runs.words import label
 
 MOST_PANELS, MOST_TRIALS, IN_A_ROW = 12, 24, 3
@@ -23,12 +31,9 @@ def compared_forces_figure(forces: ComparedForces) -> Figure:
     kinds = [x for x in kinds if x in worst]
     rows = [np.flatnonzero(names == x) for x in kinds]
     rows = [np.sort(x[np.argsort(-away[x], kind="stable")[:MOST_TRIALS]]) for x in rows]
-    n, columns = max(map(len, rows)), min(IN_A_ROW, len(kinds))
-    lines = -(-len(kinds) // columns)
-    size = (1.2 + 3.2 * columns, 0.6 + lines * (0.9 + 0.2 * n))
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(lines, columns, squeeze=False)
-    for axes, kind, own in zip(grid.flat, kinds, rows, strict=False):
+    size = (3.2, 0.9 + 0.2 * max(map(len, rows)))
+    figure, panels = panel_rows(len(kinds), size, (1.2, 0.6), IN_A_ROW)
+    for axes, kind, own in zip(panels, kinds, rows, strict=True):
         places = np.arange(len(own))
         axes.errorbar(
             forces.measured[own], places, xerr=2.0 * forces.sd[own], fmt="o", color=MEASURED,
@@ -38,12 +43,8 @@ def compared_forces_figure(forces: ComparedForces) -> Figure:
             forces.predicted[own], places, "s", color=FIT, markersize=6.0,
             markerfacecolor="none", label="predicted by the fit",
         )  # fmt: skip
-        axes.set_yticks(places, [forces.trials[i] for i in own])
-        axes.set_ylim(len(own) - 0.4, -0.6)
+        rows_down(axes, [forces.trials[i] for i in own])
         axes.set_xlabel(label(kind), fontsize=SMALL + 1)
-        axes.tick_params(labelsize=SMALL)
-        bare(axes, grid="y")
-    for axes in grid.flat[len(kinds) :]:
-        axes.remove()
-    legend_below(figure, *grid.flat[0].get_legend_handles_labels())
+        bare(axes, grid="y", labelsize=SMALL)
+    legend_below(figure, *panels[0].get_legend_handles_labels())
     return figure

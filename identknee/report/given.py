@@ -12,7 +12,7 @@ from identknee.laxity.protocol import DIRECTIONS, Protocol, as_shown
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import load_scenarios, load_unit
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.figures import DOTS_IN_NOTEBOOK, FIT, SMALL, bare, png
+from identknee.report.figures import DOTS_IN_NOTEBOOK, FIT, SMALL, bare, panel_rows, png
 from identknee.report.laxity_figures import LaxityCurves, along_load_figure, by_load_figure
 from identknee.report.page.markup import parts
 from identknee.report.scene import scene
@@ -108,14 +108,13 @@ def _trials_figure(protocol: Protocol) -> Figure | None:
     used = np.flatnonzero(drawn.loads.any(axis=0)).tolist()
     if not used:
         return None
-    figure = Figure(figsize=(0.6 + 2.4 * len(used), 2.4), layout="constrained")
-    for axes, k in zip(figure.subplots(1, len(used), squeeze=False)[0], used, strict=True):
+    figure, panels = panel_rows(len(used), (2.4, 2.4), (0.6, 0.0), len(used))
+    for axes, k in zip(panels, used, strict=True):
         axes.axhline(0.0, color="0.8", linewidth=0.8)
         axes.plot(protocol.flexion_deg, drawn.loads[:, k], "o", color=FIT, markersize=3.5)
         axes.set_xlabel("flexion [deg]", fontsize=SMALL + 1)
         axes.set_ylabel(f"{DIRECTIONS[k][0]} [{load_unit(k)}]", fontsize=SMALL + 1)
-        axes.tick_params(labelsize=SMALL)
-        bare(axes)
+        bare(axes, labelsize=SMALL)
     return figure
 
 

@@ -22,6 +22,7 @@ from identknee.report.figures import (
     STYLES,
     bare,
     legend_below,
+    panel_grid,
     wrapped,
 )
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
@@ -84,7 +85,7 @@ class LaxityCurves:
         Angles that a rig reads a little apart are one.
         """
         series, is_on = self.protocol.series, np.zeros(self.protocol.n, dtype=bool)
-        for curve in _curves(self.protocol):
+        for curve in load_curves(as_shown(self.protocol)):
             is_on[curve.trials] = True
         share = np.bincount(series, weights=is_on) / np.bincount(series)
         return np.asarray(share[series] > 0.5)
@@ -103,11 +104,6 @@ class LaxityCurves:
         return self.select(np.flatnonzero(is_on)) if is_on.any() else None, others
 
 
-def _curves(protocol: Protocol) -> tuple[Curve, ...]:
-    """Load curves of the trials as figures show them."""
-    return load_curves(as_shown(protocol))
-
-
 def along_load_figure(curves: LaxityCurves) -> Figure | None:
     """The coordinate along each load against that load, a row a load and a column an angle.
 
@@ -120,8 +116,7 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     rows = sorted({axis for axis, _ in cells})
     settings = sorted({x for _, x in cells})
     size = (1.0 + 2.7 * len(settings), 0.7 + 2.5 * len(rows))
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(rows), len(settings), squeeze=False, sharex="row", sharey="row")
+    figure, grid = panel_grid(*size, len(rows), len(settings), sharex="row", sharey="row")
     for row, axis in enumerate(rows):
         coordinate = COORDINATES.index(ALONG[LOADS[axis]])
         for column, setting in enumerate(settings):
@@ -146,8 +141,9 @@ def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
     cells = _least_combined(curves)
     if not cells:
         return None
-    figure = Figure(figsize=(1.2 + 1.9 * len(cells), 1.0 + 8.0), layout="constrained")
-    grid = figure.subplots(len(COORDINATES), len(cells), squeeze=False, sharex="col", sharey="row")
+    figure, grid = panel_grid(
+        *(1.2 + 1.9 * len(cells), 9.0, len(COORDINATES), len(cells)), sharex="col", sharey="row"
+    )
     for column, ((axis, setting), curve) in enumerate(sorted(cells.items(), key=lambda x: x[0])):
         for row in range(len(COORDINATES)):
             _draw(grid[row, column], curves, curve, row)
@@ -195,10 +191,10 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
     whole = _load_columns(shown)
     kept = sorted(whole, key=lambda x: -sum(map(len, whole[x].values())))[:MOST_COLUMNS]
     columns = {k: x for k, x in whole.items() if k in kept}
-    rows = [i for i in range(len(COORDINATES)) if _is_drawn(curves, i)]
+    is_known = np.any([np.isfinite(x).any(axis=0) for x in _drawn_values(curves)], axis=0)
+    rows = np.flatnonzero(is_known).tolist()
     size = (1.3 + 2.1 * len(columns), 1.3 + 1.25 * len(rows))
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex=True, sharey="row")
+    figure, grid = panel_grid(*size, len(rows), len(columns), sharex=True, sharey="row")
     for column, (acting, directions) in enumerate(columns.items()):
         along = [COORDINATES.index(ALONG[LOADS[x]]) for x in acting]
         heads = []
@@ -213,8 +209,7 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
                 1.0, 1.02, _error_words(curves, own, i), transform=axes.transAxes, ha="right",
                 va="bottom", fontsize=SMALL - 1,
             )  # fmt: skip
-            axes.tick_params(labelsize=SMALL)
-            bare(axes)
+            bare(axes, labelsize=SMALL)
             if i in along:
                 axes.set_facecolor(ALONG_GROUND)
         grid[0, column].set_title("\n".join(heads), fontsize=SMALL + 1, loc="left", pad=14.0)
@@ -257,11 +252,6 @@ def _load_columns(shown: Protocol) -> dict[tuple[int, ...], dict[str, IntArray]]
             named[wrapped(words, 24)] = ordered(trials)
         columns[acting] = named | neutral
     return columns or {(): neutral}
-
-
-def _is_drawn(curves: LaxityCurves, i: int) -> bool:
-    """Whether there is anything of a coordinate."""
-    return any(np.isfinite(x[:, i]).any() for x in _drawn_values(curves))
 
 
 def _drawn_values(curves: LaxityCurves) -> list[Array]:
@@ -383,5 +373,4 @@ def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:
             markersize=3.0, elinewidth=0.8, label="measured",
         )  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axes.tick_params(labelsize=SMALL)
-    bare(axes)
+    bare(axes, labelsize=SMALL)

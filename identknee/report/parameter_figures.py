@@ -26,6 +26,10 @@ from identknee.report.figures import (
     bare,
     legend_below,
     number,
+    one_panel,
+    panel_grid,
+    panel_rows,
+    rows_down,
     wrapped,
 )
 from identknee.runs import words
@@ -51,7 +55,7 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
     profiles
         Profiles of any quantities.
     """
-    figure, panels = _panels(len(profiles), (2.5, 2.7), (0.5, 0.4))
+    figure, panels = panel_rows(len(profiles), (2.5, 2.7), (0.5, 0.4), COLUMNS)
     for axes, profile in zip(panels, profiles, strict=False):
         top = HEADROOM * profile.threshold
         for branch in np.unique(profile.branches):
@@ -82,15 +86,12 @@ def profiles_figure(profiles: Sequence[Profile]) -> Figure:
                         ha="left" if turn < 0 else "right",
                     )
         axes.set_ylim(-0.05 * top, top)
-        verdict = profile.verdict_words
         quantity, at, trial = profile.name.partition("@")
-        name = label_without_unit(quantity)
         unit = f" [{profile.unit}]" if profile.unit else ""
         where = f"\nin {trial}" if at else ""
-        head = [f"{name}{where}{unit}", wrapped(verdict, 30)]
-        axes.set_title("\n".join(head), fontsize=8)
-        bare(axes)
-        axes.tick_params(labelsize=7)
+        head = f"{label_without_unit(quantity)}{where}{unit}"
+        axes.set_title(f"{head}\n{wrapped(profile.verdict_words, 30)}", fontsize=8)
+        bare(axes, labelsize=7)
     for axes in panels[::COLUMNS]:
         axes.set_ylabel("rise of deviance")
     levels = listed(f"{100 * x:g} %" for x in sorted({x.level for x in profiles}))
@@ -133,11 +134,10 @@ def intervals_figure(
     """
     units = list(dict.fromkeys(x.unit for x in profiles))
     groups = [[x for x in profiles if x.unit == unit] for unit in units]
-    size = (8.2, 0.5 + 0.75 * len(groups) + 0.3 * len(profiles))
-    figure = Figure(figsize=size, layout="constrained")
+    height = 0.5 + 0.75 * len(groups) + 0.3 * len(profiles)
     heights = [len(x) + 0.6 for x in groups]
-    grid = figure.subplots(len(groups), squeeze=False, height_ratios=heights)[:, 0]
-    for axes, unit, group in zip(grid, units, groups, strict=True):
+    figure, grid = panel_grid(8.2, height, len(groups), 1, height_ratios=heights)
+    for axes, unit, group in zip(grid[:, 0], units, groups, strict=True):
         for row, profile in enumerate(group):
             for thickness, (level, intervals) in zip(
                 THICKNESSES, nested(profile).items(), strict=False
@@ -155,8 +155,7 @@ def intervals_figure(
             for side, marker in ((profile.lower_side, "<"), (profile.upper_side, ">")):
                 if side.end is None:
                     is_model = side.status is SideStatus.OPEN_AT_FEASIBILITY
-                    word = "the model ends" if is_model else "open"
-                    shape = "X" if is_model else marker
+                    shape, word = ("X", "the model ends") if is_model else (marker, "open")
                     axes.plot(
                         side.reached,
                         row,
@@ -167,9 +166,8 @@ def intervals_figure(
                         zorder=4,
                     )
             axes.plot(profile.optimum_value, row, "|", color=BLACK, markersize=11, label="best fit")
-            verdict = profile.verdict_words
             axes.annotate(
-                f"{words.amount(profile.optimum_value, profile.unit)}, {verdict}",
+                f"{words.amount(profile.optimum_value, profile.unit)}, {profile.verdict_words}",
                 (1.01, row),
                 xycoords=("axes fraction", "data"),
                 va="center",
@@ -178,12 +176,10 @@ def intervals_figure(
             true = (truth or {}).get(profile.name)
             if true is not None:
                 axes.plot(true, row, "x", color=BLACK, markersize=6, label="truth", zorder=4)
-        axes.set_yticks(range(len(group)), [label_without_unit(x.name) for x in group])
-        axes.set_ylim(len(group) - 0.5, -0.5)
+        rows_down(axes, [label_without_unit(x.name) for x in group], 0.5)
         axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
-        bare(axes, grid="x")
-        axes.tick_params(labelsize=8)
-    _legend_above(figure, grid[0], columns=6, fontsize=8)
+        bare(axes, grid="x", labelsize=8)
+    _legend_above(figure, grid[0, 0], columns=6, fontsize=8)
     return figure
 
 
@@ -200,20 +196,6 @@ def _drawn(interval: Interval, profile: Profile) -> tuple[float, float]:
         profile.lower_side.reached if low is None else low,
         profile.upper_side.reached if high is None else high,
     )
-
-
-def _panels(
-    n: int, size: tuple[float, float], around: tuple[float, float], across: int = COLUMNS
-) -> tuple[Figure, list[Axes]]:
-    """A figure of `n` panels in rows, of so many inches each and so many more in all."""
-    columns = min(n, across)
-    rows = -(-n // columns)
-    whole = (around[0] + size[0] * columns, around[1] + size[1] * rows)
-    figure = Figure(figsize=whole, layout="constrained")
-    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
-    for unused in panels[n:]:
-        unused.set_visible(False)
-    return figure, panels[:n]
 
 
 BINS = 20
@@ -242,7 +224,7 @@ def prior_posterior_figure(
     truth
         Known theta, shape ``(n,)``.
     """
-    figure, panels = _panels(len(names), (2.2, 2.2), (0.6, 0.6))
+    figure, panels = panel_rows(len(names), (2.2, 2.2), (0.6, 0.6), COLUMNS)
     for i, (axes, name) in enumerate(zip(panels, names, strict=True)):
         grid = np.linspace(*_range(prior[:, i], *(x[:, i] for x in posteriors.values())), GRID)
         before = gaussian_kde(prior[:, i])(grid)
@@ -277,8 +259,7 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
     """
     n = len(names)
     known = None if truth is None else np.asarray(truth, float)
-    figure = Figure(figsize=(1.0 + 1.06 * n, 1.0 + 0.96 * n), layout="constrained")
-    grid = figure.subplots(n, n, squeeze=False, sharex="col")
+    figure, grid = panel_grid(1.0 + 1.06 * n, 1.0 + 0.96 * n, n, n, sharex="col")
     for row in range(n):
         for column in range(n):
             axes = grid[row, column]
@@ -289,8 +270,7 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
                 axes.hist(draws[:, row], BINS, color=COLOURS[0], alpha=0.5)
                 axes.set_yticks([])
             else:
-                across = draws[:, column]
-                up = draws[:, row]
+                across, up = draws[:, column], draws[:, row]
                 points = np.vstack([across, up])
                 estimate = gaussian_kde(points)
                 levels = np.quantile(
@@ -331,10 +311,10 @@ def forces_figure(
     truth
         Known tension [N], shape ``(trials, ligaments)``.
     """
-    n = len(ligaments)
-    figure = Figure(figsize=(1.6 + 2.3 * n, 1.4 + 0.28 * len(trials)), layout="constrained")
-    panels = figure.subplots(1, n, squeeze=False, sharey=True, sharex=True)[0]
-    rows = np.arange(len(trials))
+    n, rows = len(ligaments), np.arange(len(trials))
+    figure, panels = panel_rows(
+        n, (2.3, 0.28 * len(trials)), (1.6, 1.4), n, sharey=True, sharex=True
+    )
     for j, axes in enumerate(panels):
         middle = quantiles[:, j, 2]
         low, first, _, third, high = (quantiles[:, j] - middle[:, None]).T
@@ -355,13 +335,11 @@ def forces_figure(
             )
         axes.set_title(ligaments[j], fontsize=10)
         axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
-        axes.tick_params(labelsize=SMALL)
-        bare(axes, grid="y")
+        bare(axes, grid="y", labelsize=SMALL)
     largest = float(np.max(np.abs(quantiles - quantiles[..., 2:3])))
     # Room for the medians on the right.
     panels[0].set_xlim(-1.1 * largest, 1.8 * largest)
-    panels[0].set_ylim(len(trials) - 0.4, -0.6)
-    panels[0].set_yticks(rows, trials)
+    rows_down(panels[0], trials)
     _legend_above(figure, panels[0])
     return figure
 
@@ -407,8 +385,7 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
     found
         Informations in the same units by name.
     """
-    figure = Figure(figsize=(1.6 + 2.0 * len(found), 4.4), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(1.6 + 2.0 * len(found), 4.4)
     for k, (name, each) in enumerate(found.items()):
         x = k + np.linspace(-0.3, 0.3, each.theta.size)
         axes.plot(x, each.eigenvalues, MARKERS[k], color=COLOURS[k], label=name)
@@ -439,22 +416,17 @@ def spectrum_figure(found: Mapping[str, Information]) -> Figure:
 def eigenvectors_figure(found: Information) -> Figure:
     """Share of every parameter in every eigenvector, from stiff to sloppy, as a heat map."""
     n = found.theta.size
-    figure = Figure(figsize=(2.6 + 0.62 * n, 2.2 + 0.42 * n), layout="constrained")
-    axes = figure.add_subplot()
+    figure, axes = one_panel(2.6 + 0.62 * n, 2.2 + 0.42 * n)
     image = axes.imshow(found.eigenvectors, cmap="PuOr", vmin=-1.0, vmax=1.0, aspect="auto")
-    for i in range(n):
-        for j in range(n):
-            share = found.eigenvectors[i, j]
-            if abs(share) >= 0.1:
-                axes.text(
-                    j,
-                    i,
-                    number(share, "+.2f").replace("0.", "."),
-                    ha="center",
-                    va="center",
-                    fontsize=SMALL,
-                    color="white" if abs(share) > 0.7 else "black",
-                )
+    for (i, j), share in np.ndenumerate(found.eigenvectors):
+        if abs(share) >= 0.1:
+            axes.text(
+                *(j, i, number(share, "+.2f").replace("0.", ".")),
+                ha="center",
+                va="center",
+                fontsize=SMALL,
+                color="white" if abs(share) > 0.7 else "black",
+            )
     axes.set_yticks(range(n), [label_without_unit(x) for x in found.parameter_names])
     axes.set_xticks(
         range(n),
@@ -535,11 +507,9 @@ def ranges_figure(
     unit
         Unit of the quantities.
     """
-    n = len(names)
-    figure = Figure(figsize=(7.6, 1.4 + n * (0.16 + 0.13 * len(ranges))), layout="constrained")
-    axes = figure.subplots()
+    n, thickness = len(names), 0.8 / len(ranges)
+    figure, axes = one_panel(7.6, 1.4 + n * (0.16 + 0.13 * len(ranges)))
     rows = np.arange(n)
-    thickness = 0.8 / len(ranges)
     for k, (name, values) in enumerate(ranges.items()):
         y = rows - 0.4 + (k + 0.5) * thickness
         widths = values[:, 1] - values[:, 0]
@@ -549,8 +519,7 @@ def ranges_figure(
         axes.barh(y, widths, 0.86 * thickness, values[:, 0], color=colour, label=name)
     for row, value in zip(rows, at_fit, strict=True):
         axes.plot([value, value], [row - 0.42, row + 0.42], color=FIT, linewidth=1.8)
-    axes.set_yticks(rows, list(names), fontsize=SMALL)
-    axes.set_ylim(n - 0.4, -0.6)
+    rows_down(axes, names, fontsize=SMALL)
     bare(axes, grid="x")
     axes.set_xlabel(unit)
     handles, _ = axes.get_legend_handles_labels()
@@ -575,9 +544,7 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
         axes.text(place, 1.03, number(largest), ha="center", va="bottom", fontsize=SMALL)
     axes.set_xticks(places, [_on_three_lines(name) for name in parameters], fontsize=SMALL)
     axes.tick_params(axis="x", pad=14, length=0)
-    axes.set_yticks([])
-    axes.set_ylim(-0.02, 1.02)
-    axes.set_xlim(-0.4, len(parameters) - 0.6)
+    axes.set(yticks=[], ylim=(-0.02, 1.02), xlim=(-0.4, len(parameters) - 0.6))
     axes.spines[["top", "right", "bottom", "left"]].set_visible(False)
 
 
@@ -607,7 +574,7 @@ def effects_figure(
         Their names.
     """
     across = min(len(panels), MAPS_ACROSS)
-    figure, grid = _panels(len(panels), (WIDTH / across, 3.2), (0.0, 0.6), across)
+    figure, grid = panel_rows(len(panels), (WIDTH / across, 3.2), (0.0, 0.6), across)
     for axes, (name, (size, half_width, spread)) in zip(grid, panels.items(), strict=True):
         # One trajectory has no spread and no interval.
         far = np.concatenate([size + np.nan_to_num(half_width), spread])
@@ -624,11 +591,9 @@ def effects_figure(
                 capsize=2,
                 label=words.label(parameter),
             )
-        axes.set_xlim(0, top)
-        axes.set_ylim(0, top)
+        axes.set(xlim=(0, top), ylim=(0, top))
+        axes.set(xlabel="mean absolute effect, mu*", ylabel="sd of effects, sigma")
         axes.set_title(name, fontsize=10)
-        axes.set_xlabel("mean absolute effect, mu*")
-        axes.set_ylabel("sd of effects, sigma")
         bare(axes)
     legend_below(figure, *grid[0].get_legend_handles_labels(), columns=4, fontsize=SMALL)
     return figure
@@ -650,8 +615,8 @@ def map_figure(
         Name of the index.
     """
     rows = max(len(names) for names, _ in tables.values())
-    figure = Figure(figsize=(1.8 + 2.1 * len(tables), 1.6 + 0.24 * rows), layout="constrained")
-    grid = figure.subplots(1, len(tables), squeeze=False)[0]
+    n = len(tables)
+    figure, grid = panel_rows(n, (2.1, 0.24 * rows), (1.8, 1.6), n)
     top = max(1.0, float(np.nanmax([np.nanmax(values) for _, values in tables.values()])))
     for column, (axes, (name, (names, values))) in enumerate(
         zip(grid, tables.items(), strict=True)
@@ -662,7 +627,7 @@ def map_figure(
         )
         axes.set_yticks(range(len(names)), list(names) if column == 0 else [], fontsize=SMALL)
         axes.set_title(name, fontsize=9)
-    figure.colorbar(image, ax=list(grid), label=label, shrink=0.8)
+    figure.colorbar(image, ax=grid, label=label, shrink=0.8)
     return figure
 
 

@@ -4,7 +4,15 @@ import numpy as np
 
 from identknee.checks.limit_price import PlausibilityPrice
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, COLOURS, SMALL, bare, legend_below
+from identknee.report.figures import (
+    BLACK,
+    COLOURS,
+    SMALL,
+    bare,
+    legend_below,
+    one_panel,
+    rows_down,
+)
 
 GREY = "0.85"
 # Values farther out than so many limits stand at the edge.
@@ -17,8 +25,7 @@ def plausibility_figure(price: PlausibilityPrice) -> Figure:
     Values beyond three times a limit stand at the edge with their number.
     """
     rows = price.limits
-    figure = Figure(figsize=(6.6, 1.3 + 0.3 * len(rows)), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = one_panel(6.6, 1.3 + 0.3 * len(rows))
     places = np.arange(len(rows))
     for place, x in enumerate(rows):
         limit = x.limit
@@ -49,12 +56,10 @@ def plausibility_figure(price: PlausibilityPrice) -> Figure:
             textcoords="offset points", ha="right", va="center", color=BLACK,
         )  # fmt: skip
     axes.axvline(1.0, color=BLACK, linewidth=0.8, zorder=2)
-    axes.set_yticks(places, [_words(x.limit.name, x.limit.size) for x in rows])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    rows_down(axes, [_words(x.limit.name, x.limit.size) for x in rows])
     axes.set_xlim(0.0, MOST)
     axes.set_xlabel("share of the limit", fontsize=SMALL + 1)
-    axes.tick_params(labelsize=SMALL)
-    bare(axes, grid="x")
+    bare(axes, grid="x", labelsize=SMALL)
     legend_below(figure, *axes.get_legend_handles_labels())
     return figure
 

@@ -1,9 +1,9 @@
 """Figures of sweeps: how low they end, and where starts and ends lie."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
@@ -19,7 +19,9 @@ from identknee.report.figures import (
     STYLES,
     bare,
     legend_below,
+    panel_grid,
     panel_row,
+    panel_rows,
 )
 from identknee.runs.arrays import Array
 from identknee.verbs.demo import StartFits
@@ -101,9 +103,10 @@ def start_end_figure(
     mark
         What it is.
     """
-    m = len(parameters) // 2
-    figure = Figure(figsize=(0.9 + 2.5 * m, 0.8 + 2.5 * len(panels)), layout="constrained")
-    grid = figure.subplots(len(panels), m, squeeze=False, sharex="col", sharey="col")
+    m, size = len(parameters) // 2, (len(panels), len(parameters) // 2)
+    figure, grid = panel_grid(
+        0.9 + 2.5 * m, 0.8 + 2.5 * len(panels), *size, sharex="col", sharey="col"
+    )
     for row, (title, (starts, ends, kinds)) in enumerate(panels.items()):
         for j in range(m):
             axes, pair = grid[row, j], [j, m + j]
@@ -115,12 +118,8 @@ def start_end_figure(
         grid[row, 0].set_ylabel(f"{title}\nreference strain [%]", fontsize=9)
     seen = [x for x in KIND_WORDS if any(x in kinds for _, _, kinds in panels.values())]
     marks = [_mark(KIND_MARKERS[x], KIND_COLOURS[x], KIND_WORDS[x]) for x in seen]
-    ends_at = [
-        _mark(".", BLACK, "end"),
-        Line2D([], [], linestyle="", marker="+", color=BLACK, markersize=11, label=mark),
-    ]
-    handles: list[Artist] = [*marks, *ends_at]
-    legend_below(figure, handles)
+    marks += [_mark(".", BLACK, "end"), _mark("+", BLACK, mark, markersize=11)]
+    legend_below(figure, marks)
     return figure
 
 
@@ -142,8 +141,8 @@ def _start_end(axes: Axes, starts: Array, ends: Array, kinds: Sequence[str]) -> 
     axes.plot(*ends[~failed].T, ".", color=BLACK, markersize=3.5, zorder=4)
 
 
-def _mark(marker: str, colour: str, label: str) -> Line2D:
-    return Line2D([], [], linestyle="", marker=marker, color=colour, label=label)
+def _mark(marker: str, colour: str, label: str, **how: Any) -> Line2D:
+    return Line2D([], [], linestyle="", marker=marker, color=colour, label=label, **how)
 
 
 # What is below this is exact for every purpose and would stretch the axis.
@@ -152,15 +151,18 @@ FLOOR = 1e-3
 
 def starts_figure(fits: Sequence[StartFits]) -> Figure:
     """Figure with parameter errors on the left and laxity errors on the right, one dot a run."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _dots(left, fits, "error_kN")
-    _dots(right, fits, "rmse_deg")
-    left.set_ylabel("mean absolute error of stiffness [kN]")
-    left.set_title("how far the parameters are from the truth", fontsize=10)
-    right.set_ylabel("RMSE of rotations [deg]")
-    right.set_title("how well the laxity is reproduced", fontsize=10)
-    handles, labels = left.get_legend_handles_labels()
+    figure, panels = panel_rows(2, (4.5, 3.6), (0.0, 0.0), 2)
+    for axes, quantity, unit, title in (
+        (
+            *(panels[0], "error_kN", "mean absolute error of stiffness [kN]"),
+            "how far the parameters are from the truth",
+        ),
+        (panels[1], "rmse_deg", "RMSE of rotations [deg]", "how well the laxity is reproduced"),
+    ):
+        _dots(axes, fits, quantity)
+        axes.set_ylabel(unit)
+        axes.set_title(title, fontsize=10)
+    handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
 

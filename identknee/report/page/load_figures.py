@@ -17,7 +17,18 @@ from identknee.laxity.trial_words import load_scenarios
 from identknee.mechanics.pose import Placement
 from identknee.model.contact_loads import COMPARTMENTS
 from identknee.report.canvas import Figure
-from identknee.report.figures import BLACK, FIT, GREY, SMALL, bare, legend_below, number, wrapped
+from identknee.report.figures import (
+    BLACK,
+    FIT,
+    GREY,
+    SMALL,
+    bare,
+    legend_below,
+    number,
+    panel_rows,
+    rows_down,
+    wrapped,
+)
 from identknee.report.page.viewer import KneeScene, Mesh
 from identknee.report.presenter import Range
 from identknee.report.scene import LIGHT, View, view_from
@@ -35,6 +46,7 @@ PANEL = (1.3, 1.45)  # inches
 BONE, BONE_OPACITY, AMBIENT = "#d8d4cc", 0.45, 0.6
 TINY = 7
 FAILED = "#4a0d5c"
+CONVERGED = Outcome.CONVERGED
 
 
 def strengths_of(scene: KneeScene) -> dict[str, tuple[float, float]]:
@@ -106,9 +118,7 @@ def knee_loads_figure(scene: KneeScene, protocol: Protocol, loads: Loads) -> Fig
         for column, kind in enumerate(kinds):
             axes = grid[row, column]
             axes.set_axis_off()
-            axes.set_aspect("equal")
-            axes.set_xlim(low[0], high[0])
-            axes.set_ylim(low[1], high[1])
+            axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
             if row == 0:
                 axes.set_title(wrapped(kind, 15), fontsize=SMALL)
             if column == 0:
@@ -180,14 +190,10 @@ def _window(scene: KneeScene) -> tuple[Array, Array]:
     femoral = np.concatenate([scene.femur.vertices, scene.lines.femoral])
     places = [
         tibial,
-        *(x.placement.to_tibia(femoral) for x in scene.trials if _is_known(x.outcome)),
+        *(x.placement.to_tibia(femoral) for x in scene.trials if x.outcome is CONVERGED),
     ]
     page = IN_FRONT.project(np.concatenate(places))[:, :2]
     return page.min(axis=0) - 3.0, page.max(axis=0) + 3.0
-
-
-def _is_known(outcome: Outcome) -> bool:
-    return outcome is Outcome.CONVERGED
 
 
 def _draw_knee(
@@ -198,7 +204,7 @@ def _draw_knee(
     scales: tuple[ScalarMappable, ScalarMappable],
 ) -> None:
     own = scene.trials[trial]
-    if not _is_known(own.outcome):
+    if own.outcome is not CONVERGED:
         axes.text(0.5, 0.5, "no\nequilibrium", transform=axes.transAxes, ha="center", va="center",
                   fontsize=SMALL, color=GREY)  # fmt: skip
         return
@@ -288,15 +294,10 @@ def forces_chart(
         names = (*names, *MENISCUS_NAMES)
         values = np.column_stack([values, loads.menisci])
     is_drawn = [k for k in range(len(names)) if np.isfinite(values[rows, k]).any()]
-    across = min(ACROSS, max(len(is_drawn), 1))
-    down = max(1, -(-len(is_drawn) // across))
-    size = (1.6 + 1.45 * across, 0.9 + down * (0.8 + 0.17 * len(rows)))
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(down, across, squeeze=False, sharey=True)
-    for unused in grid.flat[len(is_drawn) :]:
-        unused.remove()
+    size = (1.45, 0.8 + 0.17 * len(rows))
+    figure, panels = panel_rows(len(is_drawn), size, (1.6, 0.9), ACROSS, sharey=True)
     has_interval = False
-    for axes, k in zip(grid.flat, is_drawn, strict=False):
+    for axes, k in zip(panels, is_drawn, strict=True):
         kind = f"{names[k]}.tension_N" if k < len(loads.names) else _quantity(names[k])
         own = [known.get(f"{kind}@{trials[i]}") for i in rows]
         has_interval |= any(x is not None for x in own)
@@ -305,11 +306,9 @@ def forces_chart(
         _draw_forces(axes, values[rows, k], own, limit)
         axes.set_title(names[k], fontsize=SMALL + 1)
         axes.set_xlabel("force [N]", fontsize=SMALL)
-        axes.tick_params(labelsize=TINY)
-        bare(axes, grid="y")
-    first = grid[0, 0]
-    first.set_yticks(range(len(rows)), [trials[i] for i in rows])
-    first.set_ylim(len(rows) - 0.4, -0.6)
+        bare(axes, grid="y", labelsize=TINY)
+    if panels:
+        rows_down(panels[0], [trials[i] for i in rows])
     handles = [Line2D([], [], color=FIT, linestyle="", marker="o", markersize=4, label=source)]
     if has_interval:
         handles.append(Line2D([], [], color=FIT, linewidth=1.4, label="95 % interval"))
