@@ -22,7 +22,7 @@ from identknee.checks.table_checks import (
 )
 from identknee.identify.binomial_interval import Proportion, share
 from identknee.identify.optimum import group_name, nuisance_estimates, nuisance_groups
-from identknee.identify.posterior.density import newton_kernel
+from identknee.identify.posterior.posterior import newton_kernel
 from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
@@ -31,8 +31,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.findings import Finding, finding, without_repeats
 from identknee.runs.words import (
     amount,

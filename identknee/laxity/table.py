@@ -15,10 +15,13 @@ from identknee.laxity.experiments import cuts_of, state_words
 from identknee.laxity.forces import (
     SD,
     MeasuredForces,
+    Superposition,
+    check_paths,
     column_of,
     force_columns,
     is_beyond_noise,
     quantity_of,
+    write_superposition,
 )
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
@@ -37,9 +40,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
-from identknee.laxity.radians import is_in_radians
 from identknee.laxity.spreadsheets import A_DATE, is_day
-from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
     SUFFIXES,
@@ -66,11 +67,50 @@ from identknee.laxity.translations import (
     sd_of_components,
     to_components,
 )
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    Array,
+    BoolArray,
+    IntArray,
+    array,
+    declared,
+    entry,
+    name_axis,
+)
 from identknee.runs.errors import InputError, ValueRefused, suggestion
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding, finding
+
+DEG = 57.29577951308232
+# People flex knees to multiples of this [deg]; angles that are all so close to one are no chance.
+STEP, CLOSE, EXACTLY = 5.0, 0.05, 0.003
+# No knee flexes farther [deg].
+FARTHEST = 165.0
+
+
+def is_in_radians(values: Array) -> bool:
+    """Whether flexion angles are round numbers of degrees written in radians.
+
+    One angle alone must be so to many digits, and be no round number of degrees as it stands.
+
+    Examples
+    --------
+    >>> is_in_radians(np.array([0.0, 0.5236, 1.0472])), is_in_radians(np.array([0.0, 0.5, 1.0]))
+    (True, False)
+    >>> is_in_radians(np.array([0.43633, 0.43633])), is_in_radians(np.array([0.44, 0.44]))
+    (True, False)
+    """
+    known = values[~np.isnan(values) & (values != 0.0)]
+    turned = DEG * known
+    if not turned.size or turned.min() < STEP / 2.0 or turned.max() > FARTHEST:
+        return False
+    step = np.round(turned / STEP)
+    off = np.abs(turned - STEP * step)
+    if len(np.unique(step)) > 1:
+        return bool(np.all(off < CLOSE))
+    is_round = np.abs(known - np.round(known, 2)) < 1e-3
+    return bool(np.all(off < EXACTLY) and not is_round.any())
+
 
 COORDINATES = (
     "lateral_shift_mm",

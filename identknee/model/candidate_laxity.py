@@ -9,6 +9,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from identknee.laxity.experiments import cuts_of
+from identknee.laxity.forces import state_with
 from identknee.laxity.protocol import (
     FLEXION_DEG,
     LOADS,
@@ -23,7 +24,6 @@ from identknee.laxity.protocol import (
     nominal_held_loads,
     zero_of_added_trials,
 )
-from identknee.laxity.superposition import state_with
 from identknee.laxity.table import Laxity
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.contact_loads import contact_jacobian, contact_values
@@ -31,8 +31,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, Array, array, declared, entry
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
 

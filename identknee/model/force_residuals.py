@@ -12,7 +12,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, values_of_structures
 from identknee.model.parameters import Parameters
 from identknee.model.quantities import CONTACT, quantity_place
-from identknee.runs.arrays import Array, IntArray, short_repr
+from identknee.runs.declare import Array, IntArray, short_repr
 from identknee.runs.errors import ValueRefused
 
 

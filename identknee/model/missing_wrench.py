@@ -8,7 +8,6 @@ from identknee.laxity.table import Laxity
 from identknee.mechanics.contact_points import ContactPlaces
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import coordinate_jacobian, rotation_matrix
-from identknee.model.held_trials import HeldTrials
 from identknee.model.laxity_model import (
     LaxityModel,
     contact_of_trials,
@@ -18,9 +17,8 @@ from identknee.model.laxity_model import (
 )
 from identknee.model.mechanics_inputs import holding_poses
 from identknee.model.prediction import Prediction
-from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.model.residuals import HeldTrials, LaxityResiduals
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 
 # Of the differences that give the stiffness at a measured pose [rad, mm].
 STEPS = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4])

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.laxity.superposition import WRENCH
+from identknee.laxity.forces import WRENCH
 from identknee.laxity.table import COORDINATES
 from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
@@ -31,8 +31,7 @@ from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import BONES, Knee
 from identknee.subject.surface import Surface

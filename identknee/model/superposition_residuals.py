@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from identknee.laxity.experiments import INTACT, cuts_of
-from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.forces import WRENCH, Superposition
 from identknee.laxity.table import Laxity
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import line_wrenches, twists_by_pose
@@ -25,8 +25,7 @@ from identknee.model.nuisances import CELL
 from identknee.model.parameter_groups import lines_by_units
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, IntArray, short_repr
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, IntArray, array, declared, short_repr
 from identknee.runs.errors import ValueRefused
 
 

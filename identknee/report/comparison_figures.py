@@ -6,12 +6,12 @@ from itertools import cycle
 import numpy as np
 from matplotlib.lines import Line2D
 
-from identknee.report.canvas import Figure
 from identknee.report.comparison import ComparedMisfit, ComparedQuantity
 from identknee.report.figures import (
     COLOURS,
     MARKERS,
     SMALL,
+    Figure,
     bare,
     legend_below,
     one_panel,

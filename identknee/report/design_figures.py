@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.trial_words import UNLOADED, loads_words
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     COLOURS,
@@ -18,12 +17,13 @@ from identknee.report.figures import (
     MARKERS,
     SMALL,
     STYLES,
+    Figure,
     bare,
     one_panel,
     panel_rows,
     rows_down,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Panels side by side.
 ACROSS = 4

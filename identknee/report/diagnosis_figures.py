@@ -20,7 +20,6 @@ from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import load_label, load_word, series_words
 from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     COLOURS,
@@ -29,6 +28,7 @@ from identknee.report.figures import (
     MARKERS,
     MEASURED,
     STYLES,
+    Figure,
     bare,
     legend_below,
     number,
@@ -40,7 +40,7 @@ from identknee.report.figures import (
 )
 from identknee.report.laxity_figures import LaxityCurves, by_load_figure
 from identknee.report.scene import View
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import coordinate_words, label, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (

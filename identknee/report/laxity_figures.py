@@ -13,20 +13,19 @@ from identknee.checks.data_noise import Curve, load_curves
 from identknee.laxity.protocol import LOADS, Protocol, as_shown
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import UNLOADED, load_label, loads_words, series_words
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     ALL_FITS,
     COLOURS,
     MEASURED,
     SMALL,
     STYLES,
+    Figure,
     bare,
     legend_below,
     panel_grid,
     wrapped,
 )
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry, frozen
 from identknee.runs.words import label, unit_of
 
 # The coordinate that moves along each load.

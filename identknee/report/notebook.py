@@ -11,11 +11,17 @@ from matplotlib.figure import Figure
 from identknee.calibrate.fit import load_start
 from identknee.laxity.table import TrialsLike, read_tests
 from identknee.model.laxity_model import model_for_tests
-from identknee.report.canvas import Place, SeveralPanelsError, drawn_on
-from identknee.report.figure_style import recolour, resize
-from identknee.report.figures import png, show_figures
+from identknee.report.figures import (
+    Place,
+    SeveralPanelsError,
+    drawn_on,
+    png,
+    recolour,
+    resize,
+    show_figures,
+)
 from identknee.report.opening import opening_of
-from identknee.report.page.loads import ALL_FORCES, KNEE_LOADS, OF_VERBS, load_drawings
+from identknee.report.page.load_figures import ALL_FORCES, KNEE_LOADS, OF_VERBS, load_drawings
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, knee_of, laxity_drawings
 from identknee.report.page.viewer import model_scene, scene_of, viewer_html

@@ -13,7 +13,6 @@ from scipy.stats import gaussian_kde
 
 from identknee.identify.information import Information
 from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     ALL_FITS,
     BLACK,
@@ -23,6 +22,7 @@ from identknee.report.figures import (
     MARKERS,
     SMALL,
     STYLES,
+    Figure,
     bare,
     legend_below,
     number,
@@ -33,7 +33,7 @@ from identknee.report.figures import (
     wrapped,
 )
 from identknee.runs import words
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import label_without_unit, listed
 
 # Nested sets beside the profile's own.

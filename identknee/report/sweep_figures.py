@@ -9,7 +9,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     COLOURS,
@@ -17,13 +16,14 @@ from identknee.report.figures import (
     MARKERS,
     SMALL,
     STYLES,
+    Figure,
     bare,
     legend_below,
     panel_grid,
     panel_row,
     panel_rows,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.verbs.demo import StartFits
 
 # Objectives below this share of the axis are rounding; they are drawn at its foot.

@@ -13,16 +13,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, whatever_case
 from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
 from identknee.subject.knee import BONES, Frame, Knee, Landmark, Side
-from identknee.subject.ligament import Ligament, groups_by_name
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.ligament import Ligament, Obstacle, groups_by_name
 from identknee.subject.opensim_model import (
     MM_PER_M,
     Element,

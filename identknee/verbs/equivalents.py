@@ -16,13 +16,11 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.line_loads import tensions_of
 from identknee.model.quantities import force_names, quantity_named
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, Array, array, declared, entry
 from identknee.runs.progress import planned
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.identification import Identification, identification
-from identknee.verbs.marginalise_nuisances import marginalise_nuisances
+from identknee.verbs.identification import Identification, identification, marginalise_nuisances
 from identknee.verbs.options import option, trials_option
 from identknee.verbs.question import has_priors
 from identknee.verbs.values import BoundsLike, bounds_of, check_word

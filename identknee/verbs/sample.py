@@ -10,13 +10,14 @@ import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem, evidence_terms
-from identknee.identify.posterior.density import InfeasiblePriorMass, with_uniform_priors
 from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
+    InfeasiblePriorMass,
     Posterior,
     SampleOutcome,
     StopRule,
     prior_sensitivity,
+    with_uniform_priors,
 )
 from identknee.identify.posterior.sample import Ensembles, nested_posterior, quantile_differences
 from identknee.identify.posterior.sample import sample as sampled
@@ -26,11 +27,12 @@ from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.quantities import PredictedQuantity, quantity_named
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_PARAMETER,
     OF_QUANTITY,
+    Array,
+    IntArray,
     array,
     declared,
     derived,

@@ -238,7 +238,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_moves.py::test_moments_are_those_of_the_density",
     ),
     fault(
-        "identknee/identify/posterior/density.py",
+        "identknee/identify/posterior/posterior.py",
         "log_prior",
         "log_prior_working(working, parameters) - np.sum(working[..., parameters.is_log], axis=-1)",
         "log_prior_working(working, parameters) + 0.0 * np.sum(working[..., parameters.is_log], axis=-1)",
@@ -246,7 +246,7 @@ IDENTIFICATION = (
         "tests/unit/identify/test_posterior.py::test_the_prior_has_mass_one_within_the_bounds",
     ),
     fault(
-        "identknee/identify/posterior/density.py",
+        "identknee/identify/posterior/posterior.py",
         "newton_kernel",
         "center = working - np.linalg.solve(information, gradient)",
         "center = working + np.linalg.solve(information, gradient)",
@@ -409,7 +409,7 @@ IDENTIFICATION = (
         "tests/unit/model/test_residuals.py",
     ),
     fault(
-        "identknee/verbs/marginalise_nuisances.py",
+        "identknee/verbs/identification.py",
         "_linearised_residuals",
         "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (everything.center - theta)[varied])",
         "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (theta - everything.center)[varied])",

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.forces import WRENCH, Superposition
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.superposition_residuals import structure_wrenches
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD_N, SD_NM = 5.0, 0.2
 SD = np.array([SD_N] * 3 + [SD_NM] * 3)

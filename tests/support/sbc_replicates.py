@@ -8,12 +8,11 @@ from knees import model
 from scipy.stats import binom
 
 from identknee.calibrate.problem import Problem
-from identknee.identify.posterior.density import prior_draws
-from identknee.identify.posterior.posterior import StopRule
+from identknee.identify.posterior.posterior import StopRule, prior_draws
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 
 N_DRAWS = 100
 NOISE = 0.5  # mm and deg

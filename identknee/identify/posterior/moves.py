@@ -14,14 +14,13 @@ from emcee.state import State
 from scipy.special import gammaln, logsumexp
 
 from identknee.calibrate.problem import evaluate
-from identknee.identify.posterior.density import (
+from identknee.identify.posterior.posterior import (
     LogPosterior,
     inside,
     newton_kernel,
     working_center,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, array, declared
 
 # A trajectory takes so many leapfrog steps, each of this length on average and up to this part of
 # it longer or shorter; together about a quarter of a turn around the posterior.
@@ -297,7 +296,7 @@ class HamiltonianMove(Move):  # type: ignore[misc]
     """Trajectories of Hamiltonian dynamics, with the mean precision of the other half as mass.
 
     Each walker carries, as its blob, the kernel of a Gauss-Newton step
-    (`identknee.identify.posterior.density.NewtonKernel`), of which the gradient is read off. One
+    (`identknee.identify.posterior.posterior.NewtonKernel`), of which the gradient is read off. One
     half of the walkers moves at a time. A trajectory takes `N_STEPS` simulations with Jacobian and
     ends nearly anywhere in the posterior; it ends early where the model has no prediction, and the
     walker then stays. In contrast to proposals from kernels, acceptance hardly falls with the
@@ -421,7 +420,7 @@ class NewtonMove(Move):  # type: ignore[misc]
     """Proposals from the Gauss-Newton kernels of the other half of the walkers.
 
     Each walker carries, as its blob, the normal density that approximates the posterior as seen
-    from where it stands (`identknee.identify.posterior.density.NewtonKernel`). One half of the
+    from where it stands (`identknee.identify.posterior.posterior.NewtonKernel`). One half of the
     walkers moves at a time: a proposal is drawn from the mixture of the other half's kernels,
     whatever the place of the walker that moves, and is accepted by the rule of Metropolis and
     Hastings with the density of that mixture. Where the residuals are linear nearly every proposal

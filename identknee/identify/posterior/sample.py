@@ -12,9 +12,17 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem, evaluate, typical_steps
-from identknee.identify.posterior.density import (
+from identknee.identify.posterior.moves import MOVES, Surrogate, surrogate_moves, trained_surrogate
+from identknee.identify.posterior.posterior import (
+    QUANTILES,
+    ConvergenceCheck,
     InfeasiblePriorMass,
     LogPosterior,
+    Posterior,
+    SampleOutcome,
+    StopRule,
+    check_convergence,
+    expected_end,
     infeasible_prior_mass,
     inside,
     log_prior_working,
@@ -22,19 +30,8 @@ from identknee.identify.posterior.density import (
     prior_draws,
     prior_quantiles,
 )
-from identknee.identify.posterior.moves import MOVES, Surrogate, surrogate_moves, trained_surrogate
-from identknee.identify.posterior.posterior import (
-    QUANTILES,
-    ConvergenceCheck,
-    Posterior,
-    SampleOutcome,
-    StopRule,
-    check_convergence,
-    expected_end,
-)
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, entry, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import Record, record

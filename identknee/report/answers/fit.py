@@ -23,7 +23,7 @@ from identknee.report.presenter import (
     settings_of,
 )
 from identknee.report.tables import Table, table
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of
@@ -157,7 +157,7 @@ def compared_forces_drawing(forces: ComparedForces) -> Drawing:
 
 def plausibility_drawing(price: PlausibilityPrice) -> Drawing:
     """The figure of what a fit has at each limit, with limits and without."""
-    from identknee.report.plausibility_figure import plausibility_figure
+    from identknee.report.force_figures import plausibility_figure
 
     return Drawing(
         name="plausibility",

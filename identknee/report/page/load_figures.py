@@ -1,6 +1,6 @@
 """Figures of what a knee carries in every trial: the knee itself, and one chart of all forces."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from matplotlib import colormaps
@@ -16,12 +16,12 @@ from identknee.laxity.protocol import Protocol, as_shown
 from identknee.laxity.trial_words import load_scenarios
 from identknee.mechanics.pose import Placement
 from identknee.model.contact_loads import COMPARTMENTS
-from identknee.report.canvas import Figure
 from identknee.report.figures import (
     BLACK,
     FIT,
     GREY,
     SMALL,
+    Figure,
     bare,
     legend_below,
     number,
@@ -29,13 +29,15 @@ from identknee.report.figures import (
     rows_down,
     wrapped,
 )
-from identknee.report.page.viewer import KneeScene, Mesh
-from identknee.report.presenter import Range
+from identknee.report.page.results import Findings, Result
+from identknee.report.page.viewer import KneeScene, Mesh, scene_at
+from identknee.report.presenter import Drawing, Range, presenter_of
 from identknee.report.scene import LIGHT, View, view_from
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.record import Outcome
-from identknee.subject.plausibility import strengths_by_name
+from identknee.subject.plausibility import TENSION, strengths_by_name
+from identknee.verbs.answer import Answer
+from identknee.verbs.fit import Calibration
 
 # Mean and standard deviation of the load at which ligaments fail [N], by how their names begin.
 Strengths = Mapping[str, tuple[float, float]]
@@ -355,3 +357,69 @@ def _draw_forces(
     axes.plot(values, np.arange(len(values)), "o", color=FIT, markersize=3.2, zorder=3)
     axes.set_xlim(min(0.0, 1.05 * min(reach)), right)
     axes.locator_params(axis="x", nbins=4)
+
+
+KNEE_LOADS, ALL_FORCES = "knee-loads", "all-forces"
+# What they are of.
+OF_VERBS = ("fit", "simulate")
+
+
+def load_drawings(findings: Findings) -> Iterator[tuple[Result, Drawing]]:
+    """The knee by trial and a chart of all forces, for the first fit of each table.
+
+    Of simulations where nothing was fitted. None where the knee is not known.
+    """
+    first_fits = {x.data_digest: x for x in reversed(findings.of("fit"))}
+    for result in [*first_fits.values()] or findings.of("simulate"):
+        protocol = result.protocol
+        if result.knee is None or protocol is None:
+            continue
+        scene = scene_at(result.answer, result.knee, protocol)
+        if scene is None:
+            continue
+        loads = loads_of(scene, strengths_of(scene) | _own_strengths(result.answer))
+        alike = [x.answer for x in findings.results if x.data_digest == result.data_digest]
+        ranges = {name: x for own in alike for name, x in presenter_of(own).ranges(own)}
+        side = " (a left knee, drawn as a right one)" if scene.knee.side == "left" else ""
+        yield (
+            result,
+            Drawing(
+                name=KNEE_LOADS,
+                figure=knee_loads_figure(scene, protocol, loads),
+                caption="The knee from the front in every trial: ligaments coloured by their share "
+                "of the load at which they fail, compartments by contact force. "
+                f"Named: the ligament nearest to failure{side}.",
+                description="The knee under every load at each flexion angle, coloured by load.",
+            ),
+        )
+        yield (
+            result,
+            Drawing(
+                name=ALL_FORCES,
+                figure=forces_chart(
+                    protocol.trials,
+                    loads,
+                    ranges,
+                    source="fit" if result.verb == "fit" else "simulated",
+                ),
+                caption="Every ligament force and contact force in every trial, with 95 % "
+                "intervals where known. Line and ground: published load at failure.",
+                description=f"Forces of {len(loads.names)} ligaments and both compartments by "
+                "trial.",
+            ),
+        )
+
+
+def _own_strengths(answer: Answer) -> dict[str, tuple[float, float]]:
+    """Strengths that counted as evidence in a fit, by how the names of their ligaments begin."""
+    if not isinstance(answer, Calibration) or answer.plausibility is None:
+        return {}
+    limits = [x.limit for x in answer.plausibility.limits]
+    return {
+        x.name.removesuffix(FORCE): (x.size, x.spread)
+        for x in limits
+        if x.form == "strength" and x.name.endswith(FORCE)
+    }
+
+
+FORCE = f".{TENSION}"

@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from identknee.calibrate.problem import evaluate
 from identknee.checks.fit_checks import feasibility_findings, infeasible_proportion
-from identknee.identify.posterior.density import newton_kernel
+from identknee.identify.posterior.posterior import newton_kernel
 from identknee.runs.findings import Severity
 
 

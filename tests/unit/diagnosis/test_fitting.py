@@ -6,7 +6,7 @@ from small_knee import small_protocol
 
 from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 

@@ -14,7 +14,7 @@ from identknee.identify.optimum import (
     sobol_around,
     with_fits_from,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 LEFT, RIGHT = -2.0, 2.0

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import lognorm, norm
 
 from identknee.calibrate.problem import evaluate
-from identknee.identify.posterior.density import (
+from identknee.identify.posterior.posterior import (
     LogPosterior,
     infeasible_prior_mass,
     log_prior,

@@ -9,7 +9,7 @@ import pytest
 import identknee as ik
 from identknee.laxity.experiment_tables import joined, read_experiments
 from identknee.laxity.experiments import Experiment
-from identknee.laxity.superposition import (
+from identknee.laxity.forces import (
     Superposition,
     read_superposition,
     write_superposition,

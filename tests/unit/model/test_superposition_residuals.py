@@ -13,8 +13,8 @@ from identknee.calibrate.problem import SUPERPOSITION_TERM, TABLE_TERM
 from identknee.checks.usable_trials import defined_everywhere, with_other_terms
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
+from identknee.laxity.forces import Superposition
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.superposition import Superposition
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.model.superposition_residuals import (
@@ -22,7 +22,7 @@ from identknee.model.superposition_residuals import (
     structure_wrenches,
     weighed,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 PROTOCOL = ik.load_protocol("table2").select([2, 3])

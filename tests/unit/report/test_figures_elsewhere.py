@@ -17,13 +17,13 @@ from report_folders import straight_profiles
 
 import identknee as ik
 from identknee.report.figure_data import HEADS, figure_data
-from identknee.report.figure_style import (
+from identknee.report.figures import (
+    COLOURS,
     LEAST_LETTERS,
     ONE_COLUMN_MM,
     TWO_COLUMNS_MM,
     resize,
 )
-from identknee.report.figures import COLOURS
 from identknee.report.page.page import report_drawings
 from identknee.report.page.results import found_results
 from identknee.report.parameter_figures import corner_figure

@@ -24,9 +24,8 @@ from report_folders import (
 )
 
 from identknee.report.overview import overview
-from identknee.report.page.lead import MOST_ROWS, lead_of
 from identknee.report.page.markup import parts
-from identknee.report.page.page import report_drawings, report_html
+from identknee.report.page.page import MOST_ROWS, lead_of, report_drawings, report_html
 from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
 from identknee.runs.errors import InputError
