@@ -4,39 +4,31 @@ Arguments, options and help of the verbs follow from their signatures.
 """
 
 import errno
+import inspect
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 import typer.core
 from typing_extensions import override
 
+import identknee as ik
+from identknee.laxity.named_tables import TABLES
 from identknee.runs.crash_report import report_unexpected_error, warnings_to_log
 from identknee.runs.errors import InputError, NotComputable
 from identknee.runs.executors import WorkerTerminated
-from identknee.runs.files import plain
+from identknee.runs.files import plain, write_atomically
 from identknee.runs.findings import Severity
-from identknee.verbs.registry import verb_named
+from identknee.subject.examples import named_subject
+from identknee.verbs.registry import Verb, verb_named, verbs
 
 if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
-import inspect
-import os
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
-from typing import Literal, get_args, get_origin
-
-import typer
-import typer.core
-
-import identknee as ik
-from identknee.laxity.named_tables import TABLES
-from identknee.runs.files import write_atomically
-from identknee.subject.examples import named_subject
-from identknee.verbs.registry import Verb, verbs
 
 # Of a path or a value that is absurdly long.
 LONGEST_SENTENCE = 2000

@@ -40,6 +40,13 @@ def scale_of(i):
 
 
 @compiled
+def copy(values, to):
+    """Copy the five values of a pose or of its loads."""
+    for i in range(5):
+        to[i] = values[i]
+
+
+@compiled
 def factorise(H, shift, L):
     """Write the Cholesky factor of H + shift scale^2 into L; whether that is positive definite."""
     for i in range(5):
@@ -234,8 +241,7 @@ def place_joint(flexion, q, grid, placed):
     place_tibia(flexion, q, placed.rotation, placed.translation)
     motion_axes(flexion, placed.rotation, placed.translation, placed.axes)
     place_in_field(grid, placed)
-    for i in range(5):
-        placed.pose[i] = q[i]
+    copy(q, placed.pose)
 
 
 @compiled
@@ -275,8 +281,7 @@ def evaluate(flexion, load, contact, field, ligaments, work, at):
     if grid.is_apart:
         turn_expansion(n, grid.turn, work.expansion)
     placed.counts[N_EVALUATIONS] += 1
-    for i in range(5):
-        placed.expanded[i] = at.pose[i]
+    copy(at.pose, placed.expanded)
     return sum_up(load, contact.law, ligaments, placed, work.expansion, at)
 
 
@@ -299,8 +304,7 @@ def evaluate_if_moved(flexion, q, load, contact, field, ligaments, work):
     for i in range(5):
         far = max(far, abs(q[i] - last[i]) * scale_of(i))
     if far > SAME_CONTACT:
-        for i in range(5):
-            at.pose[i] = q[i]
+        copy(q, at.pose)
         evaluate(flexion, load, contact, field, ligaments, work.evaluation, at)
 
 

@@ -14,6 +14,7 @@ from identknee.mechanics.contact_elements import (
 )
 from identknee.mechanics.elements import write_sums
 from identknee.mechanics.energy import (
+    copy,
     evaluate,
     evaluate_if_moved,
     evaluate_near,
@@ -49,31 +50,30 @@ from identknee.mechanics.meniscus_elements import (
 @compiled
 def copy_point(point, to):
     """Copy a pose with all that belongs to it."""
+    copy(point.pose, to.pose)
+    copy(point.gradient, to.gradient)
+    copy(point.gradient_by_flexion, to.gradient_by_flexion)
+    copy(point.tangent, to.tangent)
     for i in range(5):
-        to.pose[i], to.gradient[i] = point.pose[i], point.gradient[i]
-        to.gradient_by_flexion[i], to.tangent[i] = point.gradient_by_flexion[i], point.tangent[i]
-        for j in range(5):
-            to.hessian[i, j] = point.hessian[i, j]
+        copy(point.hessian[i], to.hessian[i])
 
 
 @compiled
 def read_state(results, n, state):
     """Make the state that of node n, but for its tangent."""
+    copy(results.poses[n], state.pose)
+    copy(results.gradient_by_flexion[n], state.gradient_by_flexion)
     for i in range(5):
-        state.pose[i] = results.poses[n, i]
-        state.gradient_by_flexion[i] = results.gradient_by_flexion[n, i]
-        for j in range(5):
-            state.hessian[i, j] = results.hessians[n, i, j]
+        copy(results.hessians[n, i], state.hessian[i])
 
 
 @compiled
 def write_state(state, results, n):
     """Keep the state as that of node n."""
+    copy(state.pose, results.poses[n])
+    copy(state.gradient_by_flexion, results.gradient_by_flexion[n])
     for i in range(5):
-        results.poses[n, i] = state.pose[i]
-        results.gradient_by_flexion[n, i] = state.gradient_by_flexion[i]
-        for j in range(5):
-            results.hessians[n, i, j] = state.hessian[i, j]
+        copy(state.hessian[i], results.hessians[n, i])
 
 
 # N and mm; a search this close, by either, ends at the minimum of the energy with the contact
@@ -140,8 +140,7 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
         far = distance_between(candidate.pose, point.pose)
         is_settled = shift == 0.0 and length < max(SETTLED, EXPANSION_ERROR * away * away)
         if is_settled or (k == 0 and (not is_expanded or far > EXPANSION_REACH)):
-            for i in range(5):
-                trial.pose[i] = candidate.pose[i]
+            copy(candidate.pose, trial.pose)
             return energy - lowest + lower, far, shift == 0.0 and length < SETTLED
         if k > 0 and far > min(radius, EXPANSION_REACH):
             break
@@ -169,8 +168,7 @@ def find_minimum(flexion, point, load, farthest, contact, field, ligaments, work
     """
     evaluation, solver = work.evaluation, work.solver
     L, trial, start = solver.factor, solver.trial, solver.start
-    for i in range(5):
-        start[i] = point.pose[i]
+    copy(point.pose, start)
     energy = evaluate(flexion, load, contact, field, ligaments, evaluation, point)
     residual = residual_norm(point.gradient)
     radius = 3.0
@@ -318,8 +316,7 @@ def release(flexion, load, farthest, contact, field, ligaments, work):
     here, begun, outcome, residual, solves = path.here, 0.0, NO_EQUILIBRIUM, 0.0, 0
     for k in range(len(BEGINNINGS)):
         begun = BEGINNINGS[k]
-        for i in range(5):
-            here.pose[i] = placed.held_at[i]
+        copy(placed.held_at, here.pose)
         placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
         outcome, residual = find_minimum(
             flexion, here, load, farthest, contact, field, ligaments, work
@@ -332,8 +329,7 @@ def release(flexion, load, farthest, contact, field, ligaments, work):
         return outcome, 0.0, residual, solves
     for k in range(len(HOLDS)):
         path.kept_at[k] = begun
-        for i in range(5):
-            path.kept[k, i] = here.pose[i]
+        copy(here.pose, path.kept[k])
     outcome, reached, residual, more = follow_release(
         flexion, begun, 1.0, load, contact, field, ligaments, work
     )
@@ -346,8 +342,7 @@ def release(flexion, load, farthest, contact, field, ligaments, work):
     while k < len(HOLDS) - 1 and HOLDS[k] > CLEAR * reached:
         k += 1
     begun = path.kept_at[k]
-    for i in range(5):
-        here.pose[i] = path.kept[k, i]
+    copy(path.kept[k], here.pose)
     placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
     find_minimum(flexion, here, load, LARGEST_MOVE, contact, field, ligaments, work)
     _, reached, residual, more = follow_release(
@@ -391,8 +386,7 @@ def follow_release(flexion, begun, goal, load, contact, field, ligaments, work):
             for k in range(len(HOLDS)):
                 if reached <= HOLDS[k]:
                     path.kept_at[k] = reached
-                    for i in range(5):
-                        path.kept[k, i] = here.pose[i]
+                    copy(here.pose, path.kept[k])
             n_far -= is_known
             share = goals[n_far - 1] - reached if n_far > 0 else 2.0 * share
         else:
@@ -467,17 +461,14 @@ def simulate_path(
     placed.hold = 0.0
     for n in range(len(nodes.parent)):
         before, angle = nodes.parent[n], nodes.flexion[n]
-        for i in range(5):
-            load[i] = nodes.loads[n, i]
+        copy(nodes.loads[n], load)
         if before < 0 and nodes.is_released:
-            for i in range(5):
-                placed.held_at[i] = starts[n, i]
+            copy(starts[n], placed.held_at)
             outcome, results.reached[n], results.residuals[n], results.solves[n] = release(
                 angle, load, nodes.farthest, contact, field, ligaments, work
             )
         elif before < 0:
-            for i in range(5):
-                here.pose[i] = starts[n, i]
+            copy(starts[n], here.pose)
             outcome, results.residuals[n] = find_minimum(
                 angle, here, load, nodes.farthest, contact, field, ligaments, work
             )

@@ -16,7 +16,7 @@ from identknee.laxity.protocol import ABSOLUTE, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.methods import given_options, value_words
 from identknee.report.overview import FORCE, ranges_of
-from identknee.report.presenter import Range, Source, of_type, presenter_of, settings_of
+from identknee.report.presenter import Source, of_type, presenter_of, settings_of
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_QUANTITY,
@@ -182,15 +182,18 @@ class Comparison(Answer):
 
 def comparison(given: Mapping[str, Sequence[Answer]]) -> Comparison:
     """The comparison of answers by the names of their results; each may have several answers."""
-    names, answers = tuple(given), given
-    quantities = _quantities(answers)
+    names = tuple(given)
+    quantities = _quantities(given)
     forces = [x for x in quantities if FORCE in x.name and len(x.stands) > 1]
     predictions = [
         x for x in quantities if "@" in x.name and FORCE not in x.name and len(x.stands) > 1
     ]
-    laxity = {name: _predicted(own) for name, own in answers.items()}
-    rows = [_difference(laxity[names[0]], laxity[name]) for name in names]
-    questions = {name: _question(own) for name, own in answers.items()}
+    laxity = [_predicted(own) for own in given.values()]
+    rows = [_difference(laxity[0], x) for x in laxity]
+    questions = {
+        name: next((x.question for x in own if x.question is not None), None)
+        for name, own in given.items()
+    }
     why_not = _why_not(given, questions)
     return Comparison(
         names=names,
@@ -198,14 +201,14 @@ def comparison(given: Mapping[str, Sequence[Answer]]) -> Comparison:
         parameters=tuple(x for x in quantities if "@" not in x.name),
         forces=tuple(sorted(forces, key=lambda x: -x.spread)),
         predictions=tuple(sorted(predictions, key=lambda x: -x.spread)),
-        misfits=tuple(_misfit(name, own) for name, own in answers.items()),
+        misfits=tuple(_misfit(name, own) for name, own in given.items()),
         is_misfit_comparable=not why_not,
         why_not=why_not,
         differences=tuple(_differences(given, questions)),
         coordinate_names=COORDINATES,
         laxity_difference=np.array([x for x, _ in rows]),
         n_trials_shared=tuple(n for _, n in rows),
-        assumptions=tuple(_assumptions(answers)),
+        assumptions=tuple(_assumptions(given)),
     )
 
 
@@ -237,22 +240,20 @@ def _quantities(answers: Mapping[str, Sequence[Answer]]) -> list[ComparedQuantit
             if quantity in ranges[name]:
                 every = ranges[name][quantity]
                 main = next((y for x in shared[:1] for y in every if y.source is x), every[0])
-                stands.append(_stand(name, main))
+                stands.append(
+                    Stand(
+                        name=name,
+                        estimate=main.value,
+                        lower=main.low,
+                        upper=main.high,
+                        method=main.source.value,
+                        status=main.status,
+                    )
+                )
             elif quantity in points[name]:
                 stands.append(points[name][quantity])
         found.append(ComparedQuantity(name=quantity, stands=tuple(stands)))
     return found
-
-
-def _stand(name: str, found: Range) -> Stand:
-    return Stand(
-        name=name,
-        estimate=found.value,
-        lower=found.low,
-        upper=found.high,
-        method=found.source.value,
-        status=found.status,
-    )
 
 
 def _points(name: str, answers: Sequence[Answer]) -> dict[str, Stand]:
@@ -333,10 +334,6 @@ def _misfit(name: str, answers: Sequence[Answer]) -> ComparedMisfit:
         n_fitted=len(set(values) - held) if values is not None and best.evidence else None,
         log_evidence=evidences[-1] if evidences else None,
     )
-
-
-def _question(answers: Sequence[Answer]) -> Question | None:
-    return next((x.question for x in answers if x.question is not None), None)
 
 
 def _why_not(

@@ -3,6 +3,7 @@
 from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 
 from markupsafe import escape
@@ -54,7 +55,7 @@ def answer_html(answer: Answer) -> str:
     main, opening = main_statements(answer), opening_of([answer])
     tables = [x.first_rows() for said in (*main, *statements_of(answer)) for x in said.tables]
     picture, caption = b"", ""
-    for drawing in _drawings(answer)[:1]:
+    for drawing in islice(_each_drawing(answer), 1):
         caption = drawing.caption
         # As sharp a picture as fits.
         for dots in SHARPNESS:
@@ -118,10 +119,6 @@ def _drawn_there(made: Iterator[Drawing], name: str, place: Place, wanted: int) 
     whole = place.get_figure(root=True)
     assert whole is not None
     return whole
-
-
-def _drawings(answer: Answer) -> tuple[Drawing, ...]:
-    return tuple(_each_drawing(answer))
 
 
 def _each_drawing(answer: Answer) -> Iterator[Drawing]:

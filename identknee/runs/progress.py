@@ -68,52 +68,95 @@ class Advance:
         """Say a sentence beside the bar."""
 
 
-# The first line comes after so long, the next ever more rarely.
-FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
+class _TimeLeftColumn:
+    """The time left as it is when it is printed, also within an item that takes long."""
+
+    def __init__(self, seconds: float | None) -> None:
+        self._end = None if seconds is None else time.monotonic() + seconds
+
+    @override
+    def __str__(self) -> str:
+        return in_words(None if self._end is None else self._end - time.monotonic())
 
 
-class ProgressLines(Advance):
-    """Says on lines of standard error how far long work is."""
+class Display(Advance):
+    """Keeps how far work is, and shows it when that changes."""
 
-    def __init__(self, description: str, total: int | None, before: int) -> None:
-        self._description = description
+    def __init__(
+        self, description: str, total: int | None, before: int, *, is_counted: bool
+    ) -> None:
+        self._description, self._is_counted = description, is_counted
         self._total, self._done = total, before
-        self._before = before / total if total else 0.0
+        self._share, self._before = 0.0, before / total if total else 0.0
+        self._note, self._left = "", _TimeLeftColumn(None)
         self._began = time.monotonic()
-        self._next_s = FIRST_LINE_S
         self._lock = threading.Lock()
+        self._unsaid: list[str] = []
+
+    @property
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self._began
 
     @override
     def __call__(self, count: int, /) -> None:
         with self._lock:
             self._done += count
-            elapsed = time.monotonic() - self._began
-            if not self._total:
-                self._line(elapsed, f"{self._done} done", None)
-                return
-            share = self._done / self._total
-            left = time_left(elapsed, share, self._before)
-            self._line(elapsed, f"{self._done} of {self._total}", left)
+            share = self._done / self._total if self._total else 0.0
+            self._left = _TimeLeftColumn(time_left(self._elapsed_s, share, self._before))
+            self._update()
 
     @override
     def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
         with self._lock:
-            elapsed = time.monotonic() - self._began
-            left = time_left(elapsed, share, self._before) if left_s is None else left_s
-            state = f"{100 * share:.0f} % done"
-            self._line(elapsed, f"{note}, {state}" if note else state, left)
+            if left_s is None:
+                left_s = time_left(self._elapsed_s, share, self._before)
+            self._share, self._note, self._left = share, note, _TimeLeftColumn(left_s)
+            self._update()
 
     @override
     def say(self, sentence: str, /) -> None:
-        sys.stderr.write(f"identknee: {sentence}\n")
-        sys.stderr.flush()
+        with self._lock:
+            self._unsaid.append(sentence)
+            self._say_all()
 
-    def _line(self, elapsed_s: float, state: str, left_s: float | None) -> None:
-        if elapsed_s < self._next_s:
+    def show(self) -> None:
+        """Begin to show it."""
+
+    def close(self) -> None:
+        """Show it no more."""
+
+    def _update(self) -> None:
+        """Show how far the work is now."""
+
+    def _say_all(self) -> None:
+        """Say what was not said yet."""
+        for sentence in self._unsaid:
+            sys.stderr.write(f"identknee: {sentence}\n")
+        sys.stderr.flush()
+        self._unsaid.clear()
+
+
+# The first line comes after so long, the next ever more rarely.
+FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
+
+
+class ProgressLines(Display):
+    """Says on lines of standard error how far long work is."""
+
+    _next_s = FIRST_LINE_S
+
+    @override
+    def _update(self) -> None:
+        elapsed = self._elapsed_s
+        if elapsed < self._next_s:
             return
-        self._next_s = elapsed_s + min(elapsed_s, MOST_RARELY_S)
-        left = in_words(left_s)
-        self.say(f"{self._description}: {state}{f', {left}' if left else ''}")
+        self._next_s = elapsed + min(elapsed, MOST_RARELY_S)
+        state = f"{self._done} of {self._total}" if self._total else f"{self._done} done"
+        if not self._is_counted:
+            state = f"{100 * self._share:.0f} % done"
+        words = ", ".join(x for x in (self._note, state, str(self._left)) if x)
+        self._unsaid.append(f"{self._description}: {words}")
+        self._say_all()
 
 
 Item = TypeVar("Item")
@@ -228,13 +271,8 @@ def _bar(
     if is_worker or not _one_bar.acquire(blocking=False):
         yield Advance()
         return
-    if not (in_cell := is_notebook()) and not sys.stderr.isatty():
-        try:
-            yield ProgressLines(description, total, before)
-        finally:
-            _one_bar.release()
-        return
-    drawn = _CellBar if in_cell else _DelayedBar
+    in_cell, is_terminal = is_notebook(), sys.stderr.isatty()
+    drawn = _CellBar if in_cell else TerminalBar if is_terminal else ProgressLines
     bar = drawn(description, total, before, is_counted=is_counted)
     # A timer, so that a first step of a minute does not leave the terminal blank.
     timer = threading.Timer(DELAY_S, bar.show)
@@ -249,23 +287,12 @@ def _bar(
         _one_bar.release()
 
 
-class _DelayedBar(Advance):
-    """Counts from the start, drawn once it is shown."""
+class TerminalBar(Display):
+    """A bar on a terminal, drawn once it is shown."""
 
-    def __init__(
-        self, description: str, total: int | None, before: int, *, is_counted: bool
-    ) -> None:
-        self._description = description
-        self._is_counted = is_counted
-        self._total = total
-        self._done = before
-        self._share, self._before = 0.0, before / total if total else 0.0
-        self._note, self._left = "", _TimeLeftColumn(None)
-        self._began = time.monotonic()
-        self._lock = threading.Lock()
-        self._shown: tuple[Progress, TaskID] | None = None
-        self._unsaid: list[str] = []
+    _shown: "tuple[Progress, TaskID] | None" = None
 
+    @override
     def show(self) -> None:
         # Imported here because rich takes longer to load than most commands run.
         from rich.console import Console
@@ -293,29 +320,6 @@ class _DelayedBar(Advance):
             self._say_all()
 
     @override
-    def __call__(self, count: int, /) -> None:
-        with self._lock:
-            self._done += count
-            share = self._done / self._total if self._total else 0.0
-            self._left = _TimeLeftColumn(
-                time_left(time.monotonic() - self._began, share, self._before)
-            )
-            self._update()
-
-    @override
-    def to(self, share: float, note: str = "", left_s: float | None = None) -> None:
-        with self._lock:
-            if left_s is None:
-                left_s = time_left(time.monotonic() - self._began, share, self._before)
-            self._share, self._note, self._left = share, note, _TimeLeftColumn(left_s)
-            self._update()
-
-    @override
-    def say(self, sentence: str, /) -> None:
-        with self._lock:
-            self._unsaid.append(sentence)
-            self._say_all()
-
     def _say_all(self) -> None:
         if self._shown is None:
             return
@@ -323,6 +327,7 @@ class _DelayedBar(Advance):
             self._shown[0].console.print(f"identknee: {sentence}", markup=False)
         self._unsaid.clear()
 
+    @override
     def _update(self) -> None:
         if self._shown is None:
             return
@@ -333,6 +338,7 @@ class _DelayedBar(Advance):
         else:
             bar.update(task, completed=self._done, **texts)
 
+    @override
     def close(self) -> None:
         if self._shown is not None:
             self._shown[0].stop()
@@ -342,15 +348,11 @@ class _DelayedBar(Advance):
 CELL_EVERY_S = 0.2
 
 
-class _CellBar(_DelayedBar):
-    """The same in the output of a notebook's cell, where lines would pile up."""
+class _CellBar(Display):
+    """A bar in the output of a notebook's cell, where lines would pile up."""
 
-    def __init__(
-        self, description: str, total: int | None, before: int, *, is_counted: bool
-    ) -> None:
-        super().__init__(description, total, before, is_counted=is_counted)
-        self._change: Callable[[str, str], None] | None = None
-        self._changed = 0.0
+    _change: Callable[[str, str], None] | None = None
+    _changed = 0.0
 
     @override
     def show(self) -> None:
@@ -361,11 +363,8 @@ class _CellBar(_DelayedBar):
 
     @override
     def _say_all(self) -> None:
-        if self._change is None:
-            return
-        for sentence in self._unsaid:
-            sys.stderr.write(f"identknee: {sentence}\n")
-        self._unsaid.clear()
+        if self._change is not None:
+            super()._say_all()
 
     @override
     def _update(self) -> None:
@@ -384,23 +383,11 @@ class _CellBar(_DelayedBar):
         whole = 1.0 if self._share else float(self._total or 0)
         done = self._share or float(self._done)
         count = f"{self._done}/{self._total or '?'}" if self._is_counted else ""
-        seconds = f"{time.monotonic() - self._began:.0f} s"
-        texts = [self._description, count, seconds, str(self._left), self._note]
+        texts = [self._description, count, f"{self._elapsed_s:.0f} s", str(self._left), self._note]
         words = ", ".join(x for x in texts if x)
         place = f' value="{min(done, whole):g}" max="{whole:g}"' if whole else ""
         bar = f'<progress{place} aria-label="{escape(self._description)}"></progress>'
         return f"<div>{bar} {escape(words)}</div>", words
-
-
-class _TimeLeftColumn:
-    """The time left as it is when it is printed, also within an item that takes long."""
-
-    def __init__(self, seconds: float | None) -> None:
-        self._end = None if seconds is None else time.monotonic() + seconds
-
-    @override
-    def __str__(self) -> str:
-        return in_words(None if self._end is None else self._end - time.monotonic())
 
 
 class _Plan:

@@ -667,19 +667,12 @@ def _knee(
 ) -> Knee:
     """The knee of these tables and surfaces; messages name the file."""
     landmarks = {x: np.array(position) for x, position in tables.places.items()}
-    places = tuple(Landmark(name=x, position=position) for x, position in landmarks.items())
     if tables.frames is None:
         is_left = tables.side == "left"
         frames = _made(file, "[landmarks]", frames_from_landmarks, landmarks, is_left=is_left)
     else:
         femur, tibia = (
-            _made(
-                file,
-                f"[frames.{bone}]",
-                Frame,
-                origin=np.array(own.origin),
-                axes=np.array(own.axes),
-            )
+            _made(file, f"[frames.{bone}]", Frame, **own.model_dump())
             for bone, own in (("femur", tables.frames.femur), ("tibia", tables.frames.tibia))
         )
         frames = femur, tibia
@@ -689,12 +682,9 @@ def _knee(
             file,
             f"ligament {x.name}",
             Ligament,
-            name=x.name,
-            femur=np.array(x.femur),
-            tibia=np.array(x.tibia),
-            stiffness_kN=x.stiffness_kN,
-            reference_strain_pct=x.reference_strain_pct,
-            wrap=x.wrap and _obstacle(file, x.name, x.wrap),
+            **x.model_dump(exclude={"wrap"}),
+            wrap=x.wrap
+            and _made(file, f"ligament {x.name}, wrap", Obstacle, **x.wrap.model_dump()),
         )
         for x in tables.ligaments
     ]
@@ -703,23 +693,14 @@ def _knee(
             file,
             f"effect {x.name}",
             EffectChoice,
-            name=x.name,
-            values=x.values,
-            fixed=tuple(x.fixed),
-            lines=tuple((np.array(line.femur), np.array(line.tibia)) for line in x.lines),
-            stiffness_sd_kN=x.stiffness_sd_kN,
-            site_sd_mm=x.site_sd_mm,
+            **x.model_dump(exclude={"lines"}),
+            lines=[(line.femur, line.tibia) for line in x.lines],
         )
         for x in tables.effects
     ]
     groups = [
-        _made(file, f"group {x.name}", LigamentGroup, name=x.name, members=tuple(x.members))
-        for x in tables.groups
+        _made(file, f"group {x.name}", LigamentGroup, **x.model_dump()) for x in tables.groups
     ]
-    poses = tuple(
-        KnownPose(flexion_deg=x.flexion_deg, coordinates=np.array(x.coordinates))
-        for x in tables.poses
-    )
     bones = None if BONE_SURFACES[0] not in meshes else (meshes["femur_bone"], meshes["tibia_bone"])
     knee = _made(
         file,
@@ -730,19 +711,19 @@ def _knee(
         description=tables.description,
         femur=surfaces[0],
         tibia=surfaces[1:],
-        ligaments=tuple(ligaments),
+        ligaments=ligaments,
         femur_frame=frames[0],
         tibia_frame=frames[1],
-        landmarks=places,
-        effects=tuple(effects),
+        landmarks=[Landmark(name=x, position=position) for x, position in landmarks.items()],
+        effects=effects,
         uncertainty=_made(file, "[uncertainty]", Uncertainty, **_stated(tables.uncertainty)),
         priors={
             name: _made(file, f"prior of {name}", StatedPrior, **prior.model_dump())
             for name, prior in tables.priors.items()
         },
         bounds={x: (low, high) for x, (low, high) in tables.bounds.items()},
-        groups=tuple(groups),
-        poses=poses,
+        groups=groups,
+        poses=[KnownPose(**x.model_dump()) for x in tables.poses],
         bones=bones,
         limits=tuple(
             _made(file, f"[[{KEY}]] block {i + 1}", x.limit)
@@ -846,13 +827,6 @@ def _ligament_rows(ligament: Ligament) -> list[str]:
         own = {"bone": wrap.bone, "centre": wrap.centre, "radius_mm": float(wrap.radius_mm)}
         rows += ["[ligaments.wrap]", *_rows(**own, axis=wrap.axis, side=wrap.side)]
     return rows
-
-
-def _obstacle(file: Path, ligament: str, table: ObstacleTable) -> Obstacle:
-    given = table.model_dump(exclude_none=True)
-    made = {x: np.array(value) if isinstance(value, list) else value for x, value in given.items()}
-    built: Obstacle = _made(file, f"ligament {ligament}, wrap", Obstacle, **made)
-    return built
 
 
 def _limit_rows(limit: Limit) -> list[str]:

@@ -582,28 +582,25 @@ def sample(
         executor=run.executor,
         store=run.store,
     )
-    is_begun = bool(posterior.checks)
-    predicted = (
-        predictive(posterior, setup.model, setup.free, quantities=wanted) if is_begun else None
-    )
+    more: dict[str, Any] = {"findings": (no_prediction_finding(setup),)}
+    if posterior.checks:
+        predicted = predictive(posterior, setup.model, setup.free, quantities=wanted)
+        residuals = LaxityResiduals(model=setup.model, laxity=setup.laxity, weighting="noise")
+        more = {
+            "predictive": predicted,
+            "quantities": predicted_marginals(predicted),
+            "cells": measured_cells(residuals, predicted, seed),
+            "nested": _nested(setup, posterior, seed) if nested else None,
+            **_at_best_fit(setup, posterior),
+        }
+    is_estimated = setup.degrees_of_freedom is not None
     return as_answer(
         posterior,
-        predictive=predicted,
-        quantities={} if predicted is None else predicted_marginals(predicted),
-        cells=None if predicted is None else _cells(setup, predicted, seed),
         data=setup.laxity,
-        nested=_nested(setup, posterior, seed) if nested and is_begun else None,
-        assumptions=(
-            *setup.assumptions,
-            *(() if setup.degrees_of_freedom is None else (NOISE_AS_KNOWN,)),
-        ),
+        assumptions=(*setup.assumptions, *([NOISE_AS_KNOWN] if is_estimated else [])),
         trials_used=setup.trials_used,
         uncertainty=setup.knee.uncertainty.words,
-        **(
-            _at_best_fit(setup, posterior)
-            if is_begun
-            else {"findings": (no_prediction_finding(setup),)}
-        ),
+        **more,
     )
 
 
@@ -622,11 +619,6 @@ def as_answer(posterior: Posterior, **more: Any) -> Sample:
         seed=posterior.seed,
         **more,
     )
-
-
-def _cells(setup: Identification, predicted: Predictive, seed: int) -> MeasuredCells:
-    residuals = LaxityResiduals(model=setup.model, laxity=setup.laxity, weighting="noise")
-    return measured_cells(residuals, predicted, seed)
 
 
 def _nested(setup: Identification, posterior: Posterior, seed: int) -> Nested:

@@ -148,7 +148,8 @@ class ComparisonPresenter(Presenter[Comparison]):
         )
         verdicts = [x for x in answer.items if x.verdict]
         if verdicts:
-            said = (f"{x.name}: {x.verdict}{_causes(x.causes)}" for x in verdicts)
+            causes = [f" ({listed(x.causes)})" if x.causes else "" for x in verdicts]
+            said = (f"{x.name}: {x.verdict}{y}" for x, y in zip(verdicts, causes, strict=True))
             yield self.say(f"Verdicts of the diagnoses: {listed(said)}.")
         yield self.say(_misfit_sentence(answer), *_misfit_tables(answer), is_answer=True)
         for words, given in (("forces", answer.forces), ("predictions", answer.predictions)):
@@ -212,7 +213,3 @@ class ComparisonPresenter(Presenter[Comparison]):
     @override
     def pictures(self, answer: Comparison, knee: Knee) -> dict[str, "Figure"]:
         return {x.name: x.figure for x in self.drawings(answer, "", knee)}
-
-
-def _causes(names: Sequence[str]) -> str:
-    return f" ({listed(names)})" if names else ""

@@ -91,9 +91,7 @@ class IsolabilityPresenter(Presenter[Isolability]):
 
     @override
     def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
-        from identknee.report.diagnosis_figures import isolability_figure
-
-        return {"isolability": isolability_figure(distances_of(answer))}
+        return {x.name: x.figure for x in self.drawings(answer, "", knee)}
 
     @override
     def next_tests(self, answer: Isolability) -> Iterator[str]:
