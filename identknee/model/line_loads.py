@@ -192,8 +192,8 @@ def structure_loads(model: LaxityModel, prediction: Prediction) -> StructureLoad
         names=owners.names,
         tensions=lines.tensions @ owners.member,
         strains=strains,
-        tension_jacobian=_summed(lines.tension_jacobian, owners.member),
-        strain_jacobian=_summed(lines.strain_jacobian, owners.weight)
+        tension_jacobian=owners.member.T @ lines.tension_jacobian,
+        strain_jacobian=owners.weight.T @ lines.strain_jacobian
         + np.swapaxes(apart, 1, 2) @ lines.stiffness_jacobian,
     )
 
@@ -252,11 +252,6 @@ def _structure_loads_of_parts(model: LaxityModel, prediction: Prediction) -> Str
         for name, into in slopes.items():
             part.spread(getattr(loads, name), into)
     return StructureLoads(names=found[0].names, **values, **slopes)
-
-
-def _summed(jacobian: Array, weights: Array) -> Array:
-    """Sums of derivatives ``(n, m, p)`` of m lines, shape ``(n, structures, p)``."""
-    return np.asarray(weights.T @ jacobian)
 
 
 def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:

@@ -3,10 +3,11 @@
 Insertions are known along the surface of a bone and across it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from functools import partial
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,7 +21,6 @@ from identknee.model.effects.effect import (
     Effect,
     InputsChange,
     ReadingError,
-    ReplicaEffect,
     TrialRecord,
     amplitudes,
     with_fixed_amplitudes,
@@ -95,17 +95,23 @@ KINDS = ("varus_moment", "internal_moment", "anterior_force", "axial_force", "la
 MOMENTS, FORCES = [VARUS, INTERNAL], [X, Y, Z]
 
 
+def stated_errors(cause: str, names: Sequence[str], sds: Sequence[float]) -> Parameters:
+    """Nuisance parameters ``cause.name`` with these prior standard deviations, 0 for none."""
+    used = {name: sd for name, sd in zip(names, sds, strict=True) if sd > 0.0}
+    farthest = [REACH * x for x in used.values()]
+    return amplitudes(cause, [*used], [*used.values()], upper=farthest).as_nuisances()
+
+
 def load_axes(sd_deg: float) -> LoadError:
     """Loads along axes that are turned about the joint's x, y and z [deg]."""
-    names = [f"{x}_deg" for x in AXES]
-    made = amplitudes("load_axes", names, 3 * [sd_deg], upper=3 * [REACH * sd_deg])
-    return LoadError(name="load_axes", parameters=made.as_nuisances(), acted=_turned)
+    made = stated_errors("load_axes", [f"{x}_deg" for x in AXES], 3 * [sd_deg])
+    return LoadError(name="load_axes", parameters=made, acted=_turned)
 
 
 def load_gain(sd: float) -> LoadError:
     """A wrong scale of each kind of load [-]."""
-    made = amplitudes("load_gain", KINDS, 5 * [sd], upper=5 * [REACH * sd])
-    return LoadError(name="load_gain", parameters=made.as_nuisances(), acted=_scaled)
+    made = stated_errors("load_gain", KINDS, 5 * [sd])
+    return LoadError(name="load_gain", parameters=made, acted=_scaled)
 
 
 def load_cell(sd_N: float, sd_Nm: float) -> ReadingError:
@@ -113,15 +119,8 @@ def load_cell(sd_N: float, sd_Nm: float) -> ReadingError:
 
     It is what drift between two runs and the compensation of gravity leave; coordinates have none.
     """
-    sds = [sd_N] * 3 + [sd_Nm] * 3
-    used = [i for i, sd in enumerate(sds) if sd > 0.0]
-    made = amplitudes(
-        CELL,
-        [WRENCH[i] for i in used],
-        [sds[i] for i in used],
-        upper=[REACH * sds[i] for i in used],
-    )
-    return ReadingError(name=CELL, parameters=made.as_nuisances(), read=_unchanged)
+    made = stated_errors(CELL, WRENCH, [sd_N] * 3 + [sd_Nm] * 3)
+    return ReadingError(name=CELL, parameters=made, read=_unchanged)
 
 
 def _unchanged(coordinates: Array, _values: Array, _tests: TrialRecord) -> Array:
@@ -130,8 +129,8 @@ def _unchanged(coordinates: Array, _values: Array, _tests: TrialRecord) -> Array
 
 def flexion(sd_deg: float) -> InputsChange:
     """How much more the knee was flexed than stated, in all trials alike [deg]."""
-    made = amplitudes("flexion", ["offset_deg"], [sd_deg], upper=[REACH * sd_deg])
-    return replace(flexion_offset(), name="flexion", parameters=made.as_nuisances())
+    made = stated_errors("flexion", ["offset_deg"], [sd_deg])
+    return replace(flexion_offset(), name="flexion", parameters=made)
 
 
 def _turned(loads: Array, _flexion: Array, values: Array) -> Array:
@@ -155,9 +154,10 @@ def _scaled(loads: Array, _flexion: Array, values: Array) -> Array:
 class LinearlyCombinedEffect:
     """An effect on the setting at amplitudes ``matrix @ values``."""
 
-    effect: ReplicaEffect = entry("The effect, of n amplitudes")
+    effect: InputsChange = entry("The effect, of n amplitudes")
     matrix: Array = entry("Shape ``(n, k)``")
     parameters: Parameters = entry("The k amplitudes that are combined")
+    differs_by_replica: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
@@ -166,11 +166,7 @@ class LinearlyCombinedEffect:
 
     def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect."""
-        return self.effect.change(setting, self.matrix @ values)
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
-        return self.effect.change_copies(setting, values @ self.matrix.T)
+        return self.effect.change(setting, values @ self.matrix.T)
 
 
 # An insertion is not farther off than this, however little is known of it [mm].
@@ -210,46 +206,37 @@ def insertions(knee: Knee) -> LinearlyCombinedEffect:
     )
 
 
-def _logarithm(name: str, amplitude: str, sd: float, changed: Changed) -> InputsChange:
-    made = amplitudes(name, [amplitude], [sd], upper=[REACH * sd])
-    return InputsChange(name=name, parameters=made.as_nuisances(), changed=changed)
+def _one_error(name: str, amplitude: str, sd: float, changed: Changed) -> InputsChange:
+    made = stated_errors(name, [amplitude], [sd])
+    return InputsChange(name=name, parameters=made, changed=changed)
 
 
 def contact_modulus(sd: float) -> InputsChange:
     """Logarithm of the modulus of the cartilage over the knee's own."""
-    return _logarithm("contact_modulus", "ln_modulus", sd, _with_modulus)
+    return _one_error("contact_modulus", "ln_modulus", sd, _with_modulus)
 
 
 def contact_exponent(sd: float) -> InputsChange:
     """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
-    return _logarithm("contact_exponent", "ln_exponent", sd, _with_exponent)
+    return _one_error("contact_exponent", "ln_exponent", sd, _with_exponent)
 
 
 def toe_region(sd: float) -> InputsChange:
     """Logarithm of the strain at which all ligaments' toe region ends, over the knee's own."""
-    return _logarithm("toe_region", "ln_strain", sd, _with_toe_region)
+    return _one_error("toe_region", "ln_strain", sd, _with_toe_region)
 
 
 def state_drift(sd_mm: float, sd_deg: float) -> ReadingError:
     """Change of each reading between the intact knee and a state with a cut [mm, deg]."""
-    sds = np.array([sd_mm if x.endswith("_mm") else sd_deg for x in COORDINATES])
-    used = np.flatnonzero(sds)
-    made = amplitudes(
-        "state_drift",
-        [COORDINATES[i] for i in used],
-        sds[used].tolist(),
-        upper=(REACH * sds[used]).tolist(),
-    )
-    read = partial(_with_state_drift, tuple(used.tolist()))
-    return ReadingError(name="state_drift", parameters=made.as_nuisances(), read=read)
+    sds = [sd_mm if x.endswith("_mm") else sd_deg for x in COORDINATES]
+    made = stated_errors("state_drift", COORDINATES, sds)
+    read = partial(_with_state_drift, tuple(np.flatnonzero(sds).tolist()))
+    return ReadingError(name="state_drift", parameters=made, read=read)
 
 
 def state_elongation(sd: float) -> InputsChange:
     """Strain by which testing stretched all ligaments before a state with a cut [%]."""
-    made = amplitudes("state_elongation", ["strain_pct"], [100.0 * sd], upper=[REACH * 100.0 * sd])
-    return InputsChange(
-        name="state_elongation", parameters=made.as_nuisances(), changed=_with_elongation
-    )
+    return _one_error("state_elongation", "strain_pct", 100.0 * sd, _with_elongation)
 
 
 def _with_state_drift(
@@ -268,16 +255,10 @@ def _with_elongation(setting: MechanicsInputs, values: Array) -> MechanicsInputs
 def reference_pose(sd_deg: float, sd_mm: float) -> InputsChange:
     """Turn [deg] and shift [mm] of the tibia in the pose in which lengths were measured."""
     names = ["flexion_deg", "varus_deg", "internal_deg", "x_mm", "y_mm", "z_mm"]
-    sds = np.array(3 * [sd_deg] + 3 * [sd_mm])
-    used = np.flatnonzero(sds)
-    made = amplitudes(
-        "reference_pose",
-        [names[i] for i in used],
-        sds[used].tolist(),
-        upper=(REACH * sds[used]).tolist(),
-    )
-    changed = partial(_with_reference_pose, tuple(used.tolist()))
-    return InputsChange(name="reference_pose", parameters=made.as_nuisances(), changed=changed)
+    sds = 3 * [sd_deg] + 3 * [sd_mm]
+    made = stated_errors("reference_pose", names, sds)
+    changed = partial(_with_reference_pose, tuple(np.flatnonzero(sds).tolist()))
+    return InputsChange(name="reference_pose", parameters=made, changed=changed)
 
 
 def _with_modulus(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
@@ -328,14 +309,7 @@ class Registration:
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        sds, used = self._sds, self._used
-        made = amplitudes(
-            self.name,
-            [NAMES[i] for i in used],
-            sds[used].tolist(),
-            upper=(REACH * sds[used]).tolist(),
-        )
-        object.__setattr__(self, "parameters", made.as_nuisances())
+        object.__setattr__(self, "parameters", stated_errors(self.name, NAMES, self._sds))
 
     def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with poses measured between the frames at amplitudes `values`."""
@@ -346,16 +320,12 @@ class Registration:
         return placements(self._whole(values))
 
     @property
-    def _sds(self) -> Array:
-        return np.array(2 * (3 * [self.sd_deg] + 3 * [self.sd_mm]))
-
-    @property
-    def _used(self) -> list[int]:
-        return [int(x) for x in np.flatnonzero(self._sds)]
+    def _sds(self) -> list[float]:
+        return 2 * (3 * [self.sd_deg] + 3 * [self.sd_mm])
 
     def _whole(self, values: Array) -> Array:
         whole = np.zeros((len(values), len(NAMES)))
-        whole[:, self._used] = values
+        whole[:, np.flatnonzero(self._sds)] = values
         return whole
 
 

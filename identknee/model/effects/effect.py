@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, Protocol, TypeGuard, cast, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeGuard, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
@@ -67,32 +67,11 @@ class SelfContainedEffect(MechanicalEffect, Protocol):
 
 
 @runtime_checkable
-class ReplicaEffect(MechanicalEffect, Protocol):
-    """A mechanical effect whose amplitudes may differ between replicas of the inputs.
-
-    Its derivatives are had faster then.
-    """
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at amplitudes ``values[i]`` in replica i, ``(k, a)``."""
-        ...
-
-
-@runtime_checkable
 class ObservationEffect(Effect, Protocol):
     """An effect on the measurement of a pose, not on the pose."""
 
     def observe(self, coordinates: Array, values: Array, tests: "TrialRecord") -> Array:
         """Measured coordinates, shape ``(n, 5)``, for the true coordinates (n, 5)."""
-        ...
-
-
-@runtime_checkable
-class ReplicaObservation(ObservationEffect, Protocol):
-    """An effect on the measurement whose amplitudes may differ between replicas of the trials."""
-
-    def observe_copies(self, coordinates: Array, values: Array, tests: "TrialRecord") -> Array:
-        """What is measured in k copies of the trials, copy i with amplitudes ``values[i]``."""
         ...
 
 
@@ -115,14 +94,12 @@ def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
     return hasattr(effect, "gradient_columns")
 
 
-def changes_replicas(effect: Effect) -> TypeGuard[ReplicaEffect]:
-    """Whether the amplitudes of an effect may differ between replicas of the inputs."""
-    return hasattr(effect, "change_copies")
+def differs_by_replica(effect: Effect) -> bool:
+    """Whether replicas of inputs or trials may each have amplitudes of their own, ``(k, a)``.
 
-
-def reads_replicas(effect: Effect) -> TypeGuard[ReplicaObservation]:
-    """Whether the amplitudes of an effect may differ between replicas of the trials."""
-    return hasattr(effect, "observe_copies")
+    Derivatives by the amplitudes are then had in one call.
+    """
+    return bool(getattr(effect, "differs_by_replica", False))
 
 
 @declared
@@ -189,6 +166,28 @@ def amplitudes(
 
 Changed = Callable[[MechanicsInputs, Array], MechanicsInputs]
 Read = Callable[[Array, Array, TrialRecord], Array]
+Made = TypeVar("Made", bound=Effect)
+
+
+def effect_of(
+    kind: Callable[..., Made],
+    name: str,
+    names: Sequence[str],
+    prior_sd: Sequence[float],
+    *,
+    lower: Sequence[float] | None = None,
+    upper: Sequence[float],
+    **how: Any,
+) -> Made:
+    """An effect of a class such as `InputsChange`, with `amplitudes`; `how` it acts."""
+    made = amplitudes(name, names, prior_sd, lower=lower, upper=upper)
+    return kind(name=name, parameters=made, **how)
+
+
+BY_REPLICA = (
+    "Whether replicas may each have amplitudes of their own, shape ``(k, a)``: the function then "
+    "takes k of them, one after the other"
+)
 
 
 @declared
@@ -200,18 +199,10 @@ class InputsChange:
     changed: Changed = entry(
         "The setting with the effect, from the setting without it and the amplitudes"
     )
+    differs_by_replica: bool = entry(BY_REPLICA, default=False)
 
     def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect at amplitudes `values`."""
-        return self.changed(setting, values)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReplicaInputsChange(InputsChange):
-    """An `InputsChange` vectorised over amplitudes (k, a) of k replicas."""
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
         return self.changed(setting, values)
 
 
@@ -224,18 +215,10 @@ class ReadingError:
     read: Read = entry(
         "The coordinates read, from those that are actual (n, 5), amplitudes and tests"
     )
+    differs_by_replica: bool = entry(BY_REPLICA, default=False)
 
     def observe(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
         """The coordinates read, shape ``(n, 5)`` [mm, deg]."""
-        return self.read(coordinates, values, tests)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ReplicaReadingError(ReadingError):
-    """A `ReadingError` vectorised over amplitudes (k, a) of k replicas of the trials."""
-
-    def observe_copies(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
-        """The coordinates read in k copies of the trials, copy i with amplitudes ``values[i]``."""
         return self.read(coordinates, values, tests)
 
 
@@ -243,9 +226,10 @@ class ReplicaReadingError(ReadingError):
 class PartOfEffect:
     """An effect on the inputs of which some amplitudes alone vary, a cause of its own."""
 
-    whole: ReplicaEffect = entry("The effect of all amplitudes")
+    whole: InputsChange = entry("The effect of all amplitudes")
     moved: IntArray = entry("Where its amplitudes stand among those")
     parameters: Parameters = entry("Its amplitudes")
+    differs_by_replica: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
@@ -254,16 +238,9 @@ class PartOfEffect:
 
     def change(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
         """The inputs with the effect."""
-        return self.whole.change(setting, self._expanded(values))
-
-    def change_copies(self, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-        """The inputs with the effect at amplitudes ``values[i]`` in replica i."""
-        return self.whole.change_copies(setting, self._expanded(values))
-
-    def _expanded(self, values: Array) -> Array:
         expanded = np.zeros((*values.shape[:-1], self.whole.parameters.n))
         expanded[..., self.moved] = values
-        return expanded
+        return self.whole.change(setting, expanded)
 
 
 def with_remeasured_lengths(
@@ -313,28 +290,19 @@ def with_fixed_amplitudes(effect: Effect, fixed: Mapping[str, float]) -> Effect:
     """The effect with some of its amplitudes, by their full names, fixed at given values."""
     free = effect.parameters.with_fixed([*fixed], effect.parameters.vector(fixed))
     if isinstance(effect, MechanicalEffect):
-        changed = partial(_change_held, effect, free)
+        changed = partial(_at_fixed, effect.change, free)
         return InputsChange(name=effect.name, parameters=free.parameters, changed=changed)
     if isinstance(effect, ObservationEffect):
-        read = partial(_read_held, effect, free)
+        read = partial(_at_fixed, effect.observe, free)
         return ReadingError(name=effect.name, parameters=free.parameters, read=read)
     raise TypeError(f"{effect.name} changes neither the setting nor what is read")
 
 
-def _change_held(
-    effect: MechanicalEffect, free: FreeParameters, setting: MechanicsInputs, values: Array
-) -> MechanicsInputs:
-    return effect.change(setting, free.expand(values))
-
-
-def _read_held(
-    effect: ObservationEffect,
-    free: FreeParameters,
-    coordinates: Array,
-    values: Array,
-    tests: TrialRecord,
-) -> Array:
-    return effect.observe(coordinates, free.expand(values), tests)
+def _at_fixed(
+    act: Callable[..., Any], free: FreeParameters, on: Any, values: Array, *at: Any
+) -> Any:
+    """What `act` makes of inputs or readings, with the fixed amplitudes beside `values`."""
+    return act(on, free.expand(values), *at)
 
 
 # The first ending that fits counts.
@@ -610,9 +578,9 @@ class _Replicas:
         if not len(each):
             return
         copies = range(2 * first, 2 * first + len(each))
-        if changes_replicas(effect):
+        if differs_by_replica(effect):
             before = repeated(before, len(each))
-            own = effect.change_copies(before, each)
+            own = effect.change(before, each)
             made = [replace(own, copy=2 * first + own.copy)]
         else:
             made = [effect.change(before, x) for x in each]
@@ -631,7 +599,7 @@ class _Replicas:
             return
         if has_nodes:
             self._of_nodes += copies
-        if has_lines and not changes_replicas(effect):
+        if has_lines and not differs_by_replica(effect):
             made = [x.as_replica(i) for x, i in zip(made, copies, strict=True)]
         whole = after.as_replica(-1) if self._all is None else self._all
         self._all = with_replicas(whole, made, lines=has_lines, nodes=has_nodes)
@@ -825,9 +793,8 @@ class EffectStack:
             stack = effect.observe(stack, values[part], tests.repeated(len(stack) // n))
             each = central_difference_values(values[part], self._steps[part])
             k = len(each)
-            if k and reads_replicas(effect):
-                again = tests.repeated(k)
-                read = [effect.observe_copies(np.tile(coordinates, (k, 1)), each, again)]
+            if k and differs_by_replica(effect):
+                read = [effect.observe(np.tile(coordinates, (k, 1)), each, tests.repeated(k))]
             else:
                 read = [effect.observe(coordinates, x, tests) for x in each]
             stack = np.concatenate([stack, *read])

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.model.effects.effect import (
+    InputsChange,
     PartOfEffect,
-    ReplicaInputsChange,
     amplitudes,
+    effect_of,
     with_remeasured_lengths,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
@@ -19,7 +20,7 @@ SHIFT_SD, SHIFT_LIMIT = 2.0, 8.0  # mm
 BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 
 
-def insertion(knee: Knee) -> ReplicaInputsChange:
+def insertion(knee: Knee) -> InputsChange:
     """Shifts of both insertions of every ligament along the axes of their bone [mm].
 
     The reference length is that between the shifted insertions in the scanned pose. Errors of 1 to
@@ -29,8 +30,12 @@ def insertion(knee: Knee) -> ReplicaInputsChange:
         f"{x.name}_{bone}_{axis}_mm" for x in knee.ligaments for bone in BONES for axis in AXES
     ]
     n = len(names)
-    made = amplitudes("insertion", names, n * [SHIFT_SD], upper=n * [SHIFT_LIMIT])
-    return ReplicaInputsChange(name="insertion", parameters=made, changed=_shifted)
+    return effect_of(
+        *(InputsChange, "insertion", names, n * [SHIFT_SD]),
+        upper=n * [SHIFT_LIMIT],
+        changed=_shifted,
+        differs_by_replica=True,
+    )
 
 
 def _shifted(setting: MechanicsInputs, values: Array) -> MechanicsInputs:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from identknee.model.effects.effect import amplitudes
+from identknee.model.effects.effect import effect_of
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.parameters import Parameters
 from identknee.runs.declare import Array, declared, entry
@@ -35,8 +35,12 @@ class LoadError:
 
 def compression() -> LoadError:
     """A constant axial force on the joint: muscle tone, or the weight that seats the knee [N]."""
-    made = amplitudes("compression", ["force_N"], [60.0], lower=[-60.0], upper=[300.0])
-    return LoadError(name="compression", parameters=made, acted=_compressed)
+    return effect_of(
+        *(LoadError, "compression", ["force_N"], [60.0]),
+        lower=[-60.0],
+        upper=[300.0],
+        acted=_compressed,
+    )
 
 
 def shank_gravity() -> LoadError:
@@ -45,39 +49,36 @@ def shank_gravity() -> LoadError:
     Two components, fixed to the femur since the rig's posture is: along it (distal) and backwards
     (posterior).
     """
-    made = amplitudes(
-        "shank_gravity", ["distal_N", "posterior_N"], [15.0, 15.0], upper=[40.0, 40.0]
-    )
-    return LoadError(name="shank_gravity", parameters=made, acted=_weighted)
+    names, limits = ["distal_N", "posterior_N"], [40.0, 40.0]
+    return effect_of(LoadError, "shank_gravity", names, [15.0, 15.0], upper=limits, acted=_weighted)
 
 
 def moment_gain(axis: str) -> LoadError:
     """A wrong scale of the moments about one axis, ``"IE"`` or ``"VV"`` [-]."""
-    name = f"moment_gain_{axis}"
-    made = amplitudes(name, ["gain"], [0.1], upper=[0.5])
-    column = {"IE": INTERNAL, "VV": VARUS}[axis]
-    return LoadError(name=name, parameters=made, acted=partial(_scaled, column))
+    acted = partial(_scaled, {"IE": INTERNAL, "VV": VARUS}[axis])
+    return effect_of(LoadError, f"moment_gain_{axis}", ["gain"], [0.1], upper=[0.5], acted=acted)
 
 
 def moment_offset() -> LoadError:
     """A zero error of both moments [N·m]."""
-    made = amplitudes("moment_offset", ["IE_Nm", "VV_Nm"], [0.3, 0.3], upper=[1.5, 1.5])
-    return LoadError(name="moment_offset", parameters=made, acted=_offset)
+    names = ["IE_Nm", "VV_Nm"]
+    return effect_of(LoadError, "moment_offset", names, [0.3, 0.3], upper=[1.5, 1.5], acted=_offset)
 
 
 def axis_misalignment() -> LoadError:
     """Moments about axes that are not the joint's [deg]: a part acts about the other one."""
-    made = amplitudes(
-        "axis_misalignment", ["IE_to_VV_deg", "VV_to_IE_deg"], [4.0, 4.0], upper=[15.0, 15.0]
+    names, limits = ["IE_to_VV_deg", "VV_to_IE_deg"], [15.0, 15.0]
+    return effect_of(
+        LoadError, "axis_misalignment", names, [4.0, 4.0], upper=limits, acted=_misaligned
     )
-    return LoadError(name="axis_misalignment", parameters=made, acted=_misaligned)
 
 
 def parasitic_shear() -> LoadError:
     """Forces that come with the moments, anterior and lateral [N/N·m]."""
     names = [f"{axis}_{towards}_N_per_Nm" for axis in ("IE", "VV") for towards in ("x", "z")]
-    made = amplitudes("parasitic_shear", names, 4 * [0.6], upper=4 * [3.0])
-    return LoadError(name="parasitic_shear", parameters=made, acted=_sheared)
+    return effect_of(
+        LoadError, "parasitic_shear", names, 4 * [0.6], upper=4 * [3.0], acted=_sheared
+    )
 
 
 def _compressed(loads: Array, _flexion: Array, values: Array) -> Array:
@@ -154,15 +155,15 @@ def muscle_tension(knee: Knee) -> LoadError:
     lateral = np.mean(places) + found.size * np.array(LATERAL)
     spread = [*3 * [LATERAL_SD], *3 * [LEAN_SD]]
     farthest = [MOST_SDS * x for x in spread]
-    made = amplitudes(
+    return effect_of(
+        LoadError,
         "muscle_tension",
         [f"{x}_{what}" for what in ("N", "lateral_mm", "forward_deg") for x in MUSCLES],
         [*3 * [TONE_SD], *spread],
         lower=[*3 * [0.0], *(-x for x in farthest)],
         upper=[*3 * [MOST_TONE], *farthest],
+        acted=partial(_pulled, lateral),
     )
-    acted = partial(_pulled, lateral)
-    return LoadError(name="muscle_tension", parameters=made, acted=acted)
 
 
 def _pulled(places: Array, loads: Array, flexion: Array, values: Array) -> Array:

@@ -17,9 +17,8 @@ from identknee.mechanics.pose import (
 from identknee.model.effects.effect import (
     InputsChange,
     ReadingError,
-    ReplicaReadingError,
     TrialRecord,
-    amplitudes,
+    effect_of,
 )
 from identknee.model.effects.facts import REMOUNTING
 from identknee.model.mechanics_inputs import MechanicsInputs
@@ -29,27 +28,34 @@ from identknee.subject.knee import Knee
 FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg
 
 
-def femur_frame() -> ReplicaReadingError:
+def femur_frame() -> ReadingError:
     """The femur's axes, as the rig has them, turned about their x and y [deg].
 
     A turn about z is an offset of flexion. Cross-talk of 1 to 5 deg between flexion and the other
     rotations is usual where axes come from landmarks; an estimate.
     """
-    made = amplitudes("femur_frame", ["x_deg", "y_deg"], 2 * [FRAME_SD], upper=2 * [FRAME_LIMIT])
-    return ReplicaReadingError(name="femur_frame", parameters=made, read=_from_turned_femur)
+    return effect_of(
+        *(ReadingError, "femur_frame", ["x_deg", "y_deg"], 2 * [FRAME_SD]),
+        upper=2 * [FRAME_LIMIT],
+        read=_from_turned_femur,
+        differs_by_replica=True,
+    )
 
 
-def tibia_frame() -> ReplicaReadingError:
+def tibia_frame() -> ReadingError:
     """The tibia's axes, as the rig has them, turned about their x, y and z [deg]."""
-    names = ["x_deg", "y_deg", "z_deg"]
-    made = amplitudes("tibia_frame", names, 3 * [FRAME_SD], upper=3 * [FRAME_LIMIT])
-    return ReplicaReadingError(name="tibia_frame", parameters=made, read=_of_turned_tibia)
+    return effect_of(
+        *(ReadingError, "tibia_frame", ["x_deg", "y_deg", "z_deg"], 3 * [FRAME_SD]),
+        upper=3 * [FRAME_LIMIT],
+        read=_of_turned_tibia,
+        differs_by_replica=True,
+    )
 
 
 def flexion_offset() -> InputsChange:
     """How much more the knee was flexed than stated [deg]; 1 to 4 deg is an estimate."""
-    made = amplitudes("flexion_offset", ["flexion_deg"], [2.0], upper=[8.0])
-    return InputsChange(name="flexion_offset", parameters=made, changed=_flexed)
+    names = ["flexion_deg"]
+    return effect_of(InputsChange, "flexion_offset", names, [2.0], upper=[8.0], changed=_flexed)
 
 
 def _from_turned_femur(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
@@ -107,9 +113,12 @@ def rig_compliance(axis: str) -> ReadingError:
     In proportion to the stated moment and alike at all angles of flexion. 0.01 to 0.05 deg/N·m for
     pins in bone and 0.2 to 1 deg/N·m for a boot are estimates.
     """
-    name = f"rig_compliance_{axis}"
-    made = amplitudes(name, ["compliance_deg_per_Nm"], [0.1], lower=[0.0], upper=[1.0])
-    return ReadingError(name=name, parameters=made, read=partial(_with_rig_compliance, axis))
+    return effect_of(
+        *(ReadingError, f"rig_compliance_{axis}", ["compliance_deg_per_Nm"], [0.1]),
+        lower=[0.0],
+        upper=[1.0],
+        read=partial(_with_rig_compliance, axis),
+    )
 
 
 def _with_rig_compliance(axis: str, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
@@ -130,9 +139,12 @@ def hysteresis() -> ReadingError:
     Under a growing load the knee is half a width behind, under a falling one half a width ahead. A
     trial of neither phase is on neither side. 0.3 to 3 deg is an estimate.
     """
-    names = [f"{axis}_deg" for axis in AXES]
-    made = amplitudes("hysteresis", names, [1.0, 1.0], lower=[0.0, 0.0], upper=[8.0, 8.0])
-    return ReadingError(name="hysteresis", parameters=made, read=_with_hysteresis)
+    return effect_of(
+        *(ReadingError, "hysteresis", [f"{axis}_deg" for axis in AXES], [1.0, 1.0]),
+        lower=[0.0, 0.0],
+        upper=[8.0, 8.0],
+        read=_with_hysteresis,
+    )
 
 
 def creep() -> ReadingError:
@@ -141,9 +153,12 @@ def creep() -> ReadingError:
     At 10 N·m, and in proportion to the moment: the longer a knee has been tested, the further it
     gives way, with the logarithm of the time as soft tissue does. The size is an estimate.
     """
-    names = [f"{axis}_deg" for axis in AXES]
-    made = amplitudes("creep", names, [0.5, 0.5], lower=[0.0, 0.0], upper=[3.0, 3.0])
-    return ReadingError(name="creep", parameters=made, read=_with_creep)
+    return effect_of(
+        *(ReadingError, "creep", [f"{axis}_deg" for axis in AXES], [0.5, 0.5]),
+        lower=[0.0, 0.0],
+        upper=[3.0, 3.0],
+        read=_with_creep,
+    )
 
 
 def drift() -> ReadingError:
@@ -152,9 +167,8 @@ def drift() -> ReadingError:
     In proportion to `order`, and nothing halfway: a part that is the same in all trials is no
     drift. 0.1 to 1 mm or deg is an estimate.
     """
-    n = len(COORDINATES)
-    made = amplitudes("drift", COORDINATES, n * [0.5], upper=n * [4.0])
-    return ReadingError(name="drift", parameters=made, read=_with_drift)
+    n, names = len(COORDINATES), COORDINATES
+    return effect_of(ReadingError, "drift", names, n * [0.5], upper=n * [4.0], read=_with_drift)
 
 
 def _with_hysteresis(coordinates: Array, values: Array, tests: TrialRecord) -> Array:
@@ -206,7 +220,7 @@ ZERO_SD, FARTHEST = 0.5, 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Remounting(ReplicaReadingError):  # noqa: N818 - an error of reading
+class Remounting(ReadingError):  # noqa: N818 - an error of reading
     """Offsets of the five coordinates at every flexion angle [mm, deg]."""
 
     def applied(self, knee: Knee, values: Array) -> Knee:
@@ -219,9 +233,12 @@ class Remounting(ReplicaReadingError):  # noqa: N818 - an error of reading
 def remounting(angles: Sequence[float]) -> Remounting:
     """Offsets of every coordinate at these flexion angles [deg]; elsewhere there are none."""
     names = [f"flexion{angle:g}_{name}" for angle in angles for name in COORDINATES]
-    n = len(names)
-    made = amplitudes(REMOUNTING, names, n * [ZERO_SD], upper=n * [FARTHEST])
-    return Remounting(name=REMOUNTING, parameters=made, read=partial(_offset, np.array(angles)))
+    return effect_of(
+        *(Remounting, REMOUNTING, names, len(names) * [ZERO_SD]),
+        upper=len(names) * [FARTHEST],
+        read=partial(_offset, np.array(angles)),
+        differs_by_replica=True,
+    )
 
 
 def _offset(angles: Array, coordinates: Array, values: Array, tests: TrialRecord) -> Array:

@@ -9,8 +9,8 @@ from identknee.mechanics.equilibria import LineLigaments
 from identknee.model.effects.effect import (
     InputsChange,
     PartOfEffect,
-    ReplicaInputsChange,
     amplitudes,
+    effect_of,
     with_remeasured_lengths,
 )
 from identknee.model.effects.insertion import AXES, BONES
@@ -130,14 +130,15 @@ def meniscal_wedge() -> InputsChange:
     They press where a gap closes, and so resist tilting, compression and sliding; see
     `identknee.subject.menisci`.
     """
-    made = amplitudes(
+    return effect_of(
+        InputsChange,
         MENISCI,
         [*(f"{x}_stiffness_N_per_mm3" for x in SIDES), "offset_mm"],
         [WEDGE_SD, WEDGE_SD, OFFSET_SD],
         lower=[0.0, 0.0, -MOST_OFFSET],
         upper=[MOST_STIFFNESS, MOST_STIFFNESS, MOST_OFFSET],
+        changed=_with_wedges,
     )
-    return InputsChange(name=MENISCI, parameters=made, changed=_with_wedges)
 
 
 def _with_wedges(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
@@ -149,7 +150,7 @@ SPREAD_SD, SPREAD_LIMIT = 5.0, 30.0  # %
 PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
 
-def bundles(knee: Knee) -> ReplicaInputsChange:
+def bundles(knee: Knee) -> InputsChange:
     """Two bundles in place of every ligament, a spread apart in reference strain and in place.
 
     Each has half of the stiffness; the first half of the spread [%] more strain than the ligament
@@ -176,15 +177,16 @@ def bundles(knee: Knee) -> ReplicaInputsChange:
         for axis in AXES
     ]
     n, m = len(strains), len(places)
-    made = amplitudes(
+    return effect_of(
+        InputsChange,
         BUNDLES,
         strains + places,
         n * [SPREAD_SD] + m * [PLACE_SD],
         lower=n * [0.0] + m * [-PLACE_LIMIT],
         upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
+        changed=partial(_split, np.array([ligaments.index(x) for x in owners])),
+        differs_by_replica=True,
     )
-    changed = partial(_split, np.array([ligaments.index(x) for x in owners]))
-    return ReplicaInputsChange(name=BUNDLES, parameters=made, changed=changed)
 
 
 @declared
@@ -251,8 +253,12 @@ def toe_strain() -> InputsChange:
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
-    made = amplitudes("toe_strain", ["transition_strain_pct"], [1.0], lower=[-2.0], upper=[3.0])
-    return InputsChange(name="toe_strain", parameters=made, changed=_stretched)
+    return effect_of(
+        *(InputsChange, "toe_strain", ["transition_strain_pct"], [1.0]),
+        lower=[-2.0],
+        upper=[3.0],
+        changed=_stretched,
+    )
 
 
 def _stretched(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
@@ -290,10 +296,12 @@ def mcl_wrapping(knee: Knee) -> InputsChange:
             "effect out"
         )
     index = [x.name for x in knee.ligaments].index(ligament.name)
-    made = amplitudes(WRAPPING, ["lift_mm"], [4.0], lower=[0.0], upper=[12.0])
     place = float((found.joint_line - bottom) / (top - bottom))
-    return InputsChange(
-        name=WRAPPING, parameters=made, changed=partial(_with_wrapping, index, place)
+    return effect_of(
+        *(InputsChange, WRAPPING, ["lift_mm"], [4.0]),
+        lower=[0.0],
+        upper=[12.0],
+        changed=partial(_with_wrapping, index, place),
     )
 
 

@@ -67,7 +67,7 @@ def test_copies_and_angles_elsewhere() -> None:
     tests = effects.TrialRecord(flexion_deg=flexion, loads=loads)
     values = np.arange(20.0).reshape(2, 10)
     alone = [effect.observe(np.ones((3, 5)), x, tests) for x in values]
-    both = effect.observe_copies(np.ones((6, 5)), values, tests.repeated(2))
+    both = effect.observe(np.ones((6, 5)), values, tests.repeated(2))
     np.testing.assert_allclose(both, np.concatenate(alone), rtol=1e-15)
     np.testing.assert_allclose(alone[0][0], 1.0 + np.arange(5.0, 10.0), rtol=1e-15)
     np.testing.assert_allclose(alone[0][2], 1.0, rtol=1e-15)
