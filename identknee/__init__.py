@@ -23,7 +23,7 @@ function; the packages below hold the rest, such as ik.identify.geodesics.
 from lazy_loader import attach_stub
 
 from identknee.runs.notebooks import show_in_notebooks
-from identknee.verbs.answer import Printer, set_printer
+from identknee.verbs.printer import Printer, set_printer
 from identknee.verbs.registry import Verb, register
 
 __version__ = "0.3.0"

@@ -15,7 +15,7 @@ from .information import StructureCheck as StructureCheck
 from .information import check_structure as check_structure
 from .information import geodesics as geodesics
 from .optimum import best_fit as best_fit
-from .posterior.density import LogPosterior as LogPosterior
+from .posterior.posterior import LogPosterior as LogPosterior
 from .posterior.posterior import Posterior as Posterior
 from .posterior.posterior import SampleOutcome as SampleOutcome
 from .posterior.posterior import StopRule as StopRule

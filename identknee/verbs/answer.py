@@ -1,7 +1,7 @@
 """The fields common to all answers: findings, assumptions and provenance."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
@@ -10,6 +10,7 @@ from identknee.identify.optimum import NuisanceEstimate
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, invalidating
 from identknee.runs.record import Record
+from identknee.verbs.printer import Printer, printer
 from identknee.verbs.question import Question
 
 if TYPE_CHECKING:
@@ -18,44 +19,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from identknee.subject.knee import Knee
-
-
-class Printer(Protocol):
-    """What an answer is shown by."""
-
-    def full_text(self, answer: Any) -> str:
-        """All that the answer says."""
-
-    def brief_text(self, answer: Any) -> str:
-        """What a command prints of the answer."""
-
-    def short_text(self, answer: Any) -> str:
-        """What fits on a screen."""
-
-    def html(self, answer: Any) -> str:
-        """What a notebook shows."""
-
-    def figure(self, answer: Any, name: str | None, **where: Any) -> "Figure":
-        """A figure of that name, or the most telling one."""
-
-    def dataframe(self, answer: Any, table: str | None) -> "DataFrame":
-        """A table of that name, or the first one."""
-
-    def methods(self, answer: Any) -> str:
-        """How the answer was computed, for a paper."""
-
-
-_given: list[Callable[[], Printer]] = []
-
-
-def set_printer(load: Callable[[], Printer]) -> None:
-    """Show answers by what `load` gives back, called when the first is to be seen."""
-    _given[:] = [load]
-
-
-def printer() -> Printer | None:
-    """The registered printer; None before `set_printer`."""
-    return _given[0]() if _given else None
 
 
 @declared

@@ -10,8 +10,8 @@ import pytest
 import identknee as ik
 from identknee.cli.app import command_of
 from identknee.report.presenter import PRESENTERS
-from identknee.verbs.answer import Printer, set_printer
 from identknee.verbs.options import as_typed, option_of, parameters_in_full
+from identknee.verbs.printer import Printer, set_printer
 from identknee.verbs.registry import Verb, verbs
 
 COMMANDS = [x for x in verbs() if x.summary]
@@ -62,7 +62,7 @@ def test_without_a_printer_an_answer_is_its_class_alone(monkeypatch: pytest.Monk
         return printer
 
     try:
-        monkeypatch.setattr("identknee.verbs.answer._given", [])
+        monkeypatch.setattr("identknee.verbs.printer._given", [])
         assert str(answer) == repr(answer) == "SubjectFacts"
         with pytest.raises(ValueError, match="here draws"):
             answer.plot()
