@@ -60,10 +60,11 @@ def line_loads(model: LaxityModel, prediction: Prediction) -> LineLoads:
     stiffness = np.zeros((m, theta.size))
     stiffness[:, : 2 * u] = by_theta[:m]
     if amplitudes.size:
-        slopes = model.extension.line_slopes(settings, amplitudes, prediction.poses, nodes)
-        tensions[:, :, 2 * u :] += slopes.tensions
-        strains[:, :, 2 * u :] += slopes.strains
-        stiffness[:, 2 * u :] = slopes.stiffness
+        slopes, stiffness[:, 2 * u :] = model.extension.line_changes(
+            settings, amplitudes, prediction.poses, nodes, _tensions_and_strains
+        )
+        tensions[:, :, 2 * u :] += slopes[:, :, 0]
+        strains[:, :, 2 * u :] += slopes[:, :, 1]
     is_lost = ~prediction.is_converged
     values = np.array(found.tensions), found.strains / PER_PCT, tensions, strains / PER_PCT
     for x in values:
@@ -75,6 +76,12 @@ def line_loads(model: LaxityModel, prediction: Prediction) -> LineLoads:
         strain_jacobian=values[3],
         stiffness_jacobian=stiffness,
     )
+
+
+def _tensions_and_strains(lines: LineLigaments, *at: Array) -> Array:
+    """Tension and strain of each line, shape ``(n, m, 2)``."""
+    found = ligament_tensions(lines, *at)
+    return np.stack([found.tensions, found.strains], axis=2)
 
 
 @declared

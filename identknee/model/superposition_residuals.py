@@ -101,7 +101,7 @@ def _of_one_part(
         own = slopes[row] * member[:, :, None]
         jacobian[:, :, : 2 * u] += np.swapaxes(own, 1, 2) @ units
     if amplitudes.size:
-        changes = model.extension.line_changes(settings, amplitudes, poses, nodes, _wrenches)
+        changes, _ = model.extension.line_changes(settings, amplitudes, poses, nodes, _wrenches)
         jacobian[:, :, 2 * u :] += _summed(member, changes[row])
     values = _summed(member, found.values[row])
     is_lost = ~prediction.is_converged[trials]

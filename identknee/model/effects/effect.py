@@ -16,7 +16,7 @@ import numpy as np
 
 from identknee.mechanics.contact_points import contact_motion_columns
 from identknee.mechanics.equilibria import LINE_COLUMNS, N_OF_LAW, N_OF_MENISCI, LineLigaments
-from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradients
+from identknee.mechanics.ligament_tensions import line_gradients
 from identknee.mechanics.memory import Equilibria
 from identknee.model.mechanics_inputs import (
     MechanicsInputs,
@@ -26,7 +26,7 @@ from identknee.model.mechanics_inputs import (
     with_replicas,
 )
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 
 
 class Effect(Protocol):
@@ -363,127 +363,38 @@ def gradient_columns(
     """
     flexion, poses = settings[-1].flexion[nodes], found.poses[nodes]
     columns = np.zeros((len(nodes), 5, len(values)))
-    perturbed = _perturbed(effects, settings, values, steps)
-    for turns, shifts, part in perturbed.frames:
+    copies, moves, frames = _perturbed(effects, settings, values, steps)
+    for turns, shifts, part in frames:
         surfaces = contact_motion_columns(found.contact_sums[nodes], flexion, poses)
         columns[:, :, part] = surfaces @ motions(turns, shifts).T / (2.0 * steps[part])
     for (effect, part), before in zip(effects, settings, strict=False):
         if is_self_contained(effect):
             framed = replace(before, frames=settings[-1].frames)
             columns[:, :, part] = effect.gradient_columns(framed, values[part], flexion, poses)
-    changes = _gradient_differences(_table(settings[-1]), perturbed.moves, flexion, poses)
-    changes += perturbed.copies.by_nodes(found, nodes)
+    changes = _gradient_differences(_table(settings[-1]), moves, flexion, poses)
+    changes += copies.by_nodes(found, nodes)
     return np.asarray(columns + changes / (2.0 * steps))
-
-
-@declared
-class LineSlopes:
-    """Derivatives of m lines by the amplitudes at fixed poses."""
-
-    tensions: Array = array("Of the tensions", "pose", "line", "amplitude")
-    strains: Array = array("Of the strains", "pose", "line", "amplitude")
-    stiffness: Array = array("Of the stiffness [N]", "line", "amplitude")
-
-
-def line_slopes(
-    effects: Sequence[Placed],
-    settings: Sequence[MechanicsInputs],
-    values: Array,
-    steps: Array,
-    poses: Array,
-    nodes: IntArray,
-) -> LineSlopes:
-    """Derivatives of tensions and strains of all lines by the amplitudes at poses ``(n, 5)``.
-
-    Parameters
-    ----------
-    effects, settings, values, steps, nodes
-        As for `gradient_columns`.
-    poses
-        Pose of each trial, shape ``(n, 5)``.
-    """
-    changes, moves = line_changes(effects, settings, values, steps, poses, nodes, _loads)
-    return LineSlopes(
-        tensions=changes[:, :, 0],
-        strains=changes[:, :, 1],
-        stiffness=moves[:, :, STIFFNESS_COLUMN].T / (2.0 * steps),
-    )
-
-
-def _loads(lines: LineLigaments, *at: Array) -> Array:
-    """Tension and strain of each line, shape ``(n, m, 2)``."""
-    found = ligament_tensions(lines, *at)
-    return np.stack([found.tensions, found.strains], axis=2)
 
 
 # What lines do at poses: of the lines, flexion (n,), poses (n, 5), stiffness and reference strain.
 OfLines = Callable[[LineLigaments, Array, Array, Array, Array], Array]
 
 
-def line_changes(
-    effects: Sequence[Placed],
-    settings: Sequence[MechanicsInputs],
-    values: Array,
-    steps: Array,
-    poses: Array,
-    nodes: IntArray,
-    quantity: OfLines,
-) -> tuple[Array, Array]:
-    """Derivatives of what lines do, by the amplitudes at poses ``(n, 5)``.
-
-    Parameters
-    ----------
-    effects, settings, values, steps, nodes
-        As for `gradient_columns`.
-    poses
-        Pose of each trial, shape ``(n, 5)``.
-    quantity
-        What m lines do, a closed-form function, shape ``(n, m, k)``.
+def _perturbed(
+    effects: Sequence[Placed], settings: Sequence[MechanicsInputs], values: Array, steps: Array
+) -> tuple["_Replicas", Array, list[tuple[Array, Array, slice]]]:
+    """What small changes of the amplitudes, down and up, do to the inputs.
 
     Returns
     -------
-    changes
-        The derivatives, shape ``(n, m, k, a)``.
+    copies
+        Replicas of the inputs with one amplitude changed each.
     moves
-        Differences of the table of lines that they follow from, shape ``(a, m, N_COLUMNS)``.
+        Differences of the table of lines, shape ``(a, m, N_COLUMNS)``; without those of
+        self-contained effects.
+    frames
+        Axes and origins of measured frames, and the amplitudes that they belong to.
     """
-    last, flexion = settings[-1], settings[-1].flexion[nodes]
-    perturbed, table = _perturbed(effects, settings, values, steps), _table(last)
-    moves = perturbed.moves + _own_moves(effects, settings, values, steps)
-    line, entry, step, lines, laws = _moved_lines(table, moves)
-    less, more = np.split(quantity(lines, flexion, poses, *laws), 2, axis=1)
-    share = moves[:, line, entry] / (2.0 * step)
-    turned = perturbed.copies.flexion(len(last.flexion))[:, nodes]
-    own_laws = last.stiffness, last.reference_strain
-    low, high = (
-        quantity(last.measured_lines, flexion + x, poses, *own_laws)
-        for x in (-FLEXION_STEP, FLEXION_STEP)
-    )
-    by_flexion = (high - low) / (2.0 * FLEXION_STEP)
-    changes = by_flexion[..., None] * turned.T[:, None, None]
-    for i in range(len(table)):
-        own = line == i
-        changes[:, i] += np.swapaxes(more - less, 1, 2)[:, :, own] @ share[:, own].T
-    return np.asarray(changes / (2.0 * steps)), moves
-
-
-@declared
-class _Perturbed:
-    """What small changes of the amplitudes, down and up, do to the inputs."""
-
-    copies: "_Replicas" = entry("Replicas of the inputs with one amplitude changed each")
-    moves: Array = entry(
-        "Differences of the table of lines, shape ``(a, m, N_COLUMNS)``; without those of "
-        "self-contained effects"
-    )
-    frames: tuple[tuple[Array, Array, slice], ...] = entry(
-        "Axes and origins of measured frames, and the amplitudes that they belong to"
-    )
-
-
-def _perturbed(
-    effects: Sequence[Placed], settings: Sequence[MechanicsInputs], values: Array, steps: Array
-) -> _Perturbed:
     copies = _Replicas(len(values))
     table = _table(settings[-1])
     moves, frames = np.zeros((len(values), *table.shape)), []
@@ -510,7 +421,7 @@ def _perturbed(
         else:
             copies.add(effect, before, after, each, first=part.start)
     moves += copies.moves(len(table))
-    return _Perturbed(copies=copies, moves=moves, frames=tuple(frames))
+    return copies, moves, frames
 
 
 def _own_moves(
@@ -805,16 +716,6 @@ class EffectStack:
         slopes[:, :, moved] = np.moveaxis(high - low, 0, 2) / (2.0 * steps[moved])
         return slopes[:, :, :5], slopes[:, :, 5:]
 
-    def line_slopes(
-        self,
-        settings: Sequence[MechanicsInputs],
-        values: Array,
-        poses: Array,
-        nodes: IntArray,
-    ) -> LineSlopes:
-        """Derivatives of all lines by the amplitudes at poses ``(n, 5)`` of trials at nodes."""
-        return line_slopes(self._mechanical, settings, values, self._steps, poses, nodes)
-
     def line_changes(
         self,
         settings: Sequence[MechanicsInputs],
@@ -822,10 +723,44 @@ class EffectStack:
         poses: Array,
         nodes: IntArray,
         quantity: OfLines,
-    ) -> Array:
-        """Derivatives by the amplitudes of what lines do at poses, shape ``(n, m, k, a)``."""
-        placed = self._mechanical
-        return line_changes(placed, settings, values, self._steps, poses, nodes, quantity)[0]
+    ) -> tuple[Array, Array]:
+        """Derivatives of what lines do, by the amplitudes at poses ``(n, 5)``.
+
+        Parameters
+        ----------
+        settings, values, nodes
+            As for `pose_columns`.
+        poses
+            Pose of each trial, shape ``(n, 5)``.
+        quantity
+            What m lines do, a closed-form function, shape ``(n, m, k)``.
+
+        Returns
+        -------
+        changes
+            The derivatives, shape ``(n, m, k, a)``.
+        stiffness
+            Those of the stiffness of each line [N], shape ``(m, a)``.
+        """
+        effects, steps, last = self._mechanical, self._steps, settings[-1]
+        flexion, table = last.flexion[nodes], _table(last)
+        copies, moves, _ = _perturbed(effects, settings, values, steps)
+        moves = moves + _own_moves(effects, settings, values, steps)
+        line, entry, step, lines, laws = _moved_lines(table, moves)
+        less, more = np.split(quantity(lines, flexion, poses, *laws), 2, axis=1)
+        share = moves[:, line, entry] / (2.0 * step)
+        turned = copies.flexion(len(last.flexion))[:, nodes]
+        own_laws = last.stiffness, last.reference_strain
+        low, high = (
+            quantity(last.measured_lines, flexion + x, poses, *own_laws)
+            for x in (-FLEXION_STEP, FLEXION_STEP)
+        )
+        by_flexion = (high - low) / (2.0 * FLEXION_STEP)
+        changes = by_flexion[..., None] * turned.T[:, None, None]
+        for i in range(len(table)):
+            own = line == i
+            changes[:, i] += np.swapaxes(more - less, 1, 2)[:, :, own] @ share[:, own].T
+        return changes / (2.0 * steps), moves[:, :, STIFFNESS_COLUMN].T / (2.0 * steps)
 
     def contact_pairs(
         self, settings: Sequence[MechanicsInputs], values: Array
