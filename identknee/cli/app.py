@@ -316,7 +316,6 @@ def _parameters(verb: Verb) -> Iterator[inspect.Parameter]:
 
 
 def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
-    """A parameter of a verb as typer takes it."""
     from identknee.verbs.options import as_typed, option_of
 
     stated = option_of(own.annotation)
@@ -352,7 +351,6 @@ def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
 
 
 def _typed(annotation: Any, typed: Any) -> Any:
-    """The type on the command line."""
     if typed is not None:
         return typed
     plain = get_args(annotation)[0]

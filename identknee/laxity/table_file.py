@@ -743,7 +743,6 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
 
 
 def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: str) -> Translations:
-    """The definition of translations that is stated."""
     line = lines.get("translations", 0)
     found = next((x for x in DEFINITIONS if x == stated.lower()), None)
     if found is None:

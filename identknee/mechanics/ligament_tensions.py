@@ -270,7 +270,6 @@ class _Courses:
 
 
 def _courses_around(lines: LineLigaments, flexion: Array, poses: Array) -> _Courses:
-    """The courses of lines that all have an obstacle."""
     # The compiler takes half a second to load.
     from identknee.mechanics.obstacles import write_shapes
 

@@ -598,7 +598,6 @@ class LaxityModel:
         return self.tied.stiffness(theta[:u]) * PER_KN, strain
 
     def _implausible_parameter(self, theta: Array) -> ValueError:
-        """The error for the first inadmissible parameter value."""
         u = self.tied.n
         is_finite = np.isfinite(theta)
         strain = self.tied.strain(np.where(is_finite, theta, 0.0)[u : 2 * u]) * PER_PCT

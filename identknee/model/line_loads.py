@@ -340,7 +340,6 @@ def _of_ligaments(model: LaxityModel, prediction: Prediction) -> tuple[Array, Ar
 def _of_lines(
     model: LaxityModel, setting: MechanicsInputs, prediction: Prediction
 ) -> LigamentTensions:
-    """Tensions of all lines at the poses of a prediction."""
     return ligament_tensions(
         setting.measured_lines,
         setting.flexion[model.paths.trial_node],

@@ -377,7 +377,6 @@ def _data_words(answer: Answer) -> str:
 
 
 def _subject(answer: Answer) -> str:
-    """The knee as the call named it."""
     named = settings_of(answer).get("subject") or getattr(answer, "subject", None)
     return str(named or "a knee")
 
@@ -394,7 +393,6 @@ def _digest(answer: Answer, name: str) -> str:
 
 
 def _verb(answer: Answer) -> str:
-    """The verb that gave the answer."""
     if answer.record is not None:
         return answer.record.verb
     return next(verbs_with_answer(type(answer).__name__)).name

@@ -511,7 +511,6 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
 def _verdict(
     rows: Sequence[Row], diagnosis: Diagnosis | None, differ: str, opening: Opening
 ) -> tuple[list[str], Tone]:
-    """One sentence or two, and the worst of what they say."""
     model, tone = _model(diagnosis)
     unknown = [x for x in rows if x.status not in KNOWN]
     contradicted = [x.name for x in rows if x.found.is_contradicted]

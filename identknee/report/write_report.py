@@ -131,6 +131,5 @@ def _write_tables(results: Sequence[Result], folder: Path, forms: Sequence[str])
 
 
 def _methods(results: Sequence[Result]) -> str:
-    """A paragraph on the methods of each result."""
     parts = (f"## {x.verb} ({x.folder.name})\n\n{methods_text(x.answer)}\n" for x in results)
     return "\n".join(["# Methods\n", *parts])

@@ -818,7 +818,6 @@ def _text(knee: Knee, surfaces: Iterable[str]) -> str:
 
 
 def _ligament_rows(ligament: Ligament) -> list[str]:
-    """A ligament as its table has it."""
     x, wrap = ligament, ligament.wrap
     numbers = {"stiffness_kN": float(x.stiffness_kN)}
     numbers["reference_strain_pct"] = float(x.reference_strain_pct)
@@ -830,7 +829,6 @@ def _ligament_rows(ligament: Ligament) -> list[str]:
 
 
 def _limit_rows(limit: Limit) -> list[str]:
-    """A limit of plausibility as its table has it."""
     pair = f"{{ mean = {_toml(limit.size)}, sd = {_toml(limit.spread)} }}"
     size = (
         _rows(within=limit.size, scale=limit.spread)

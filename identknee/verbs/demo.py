@@ -232,7 +232,6 @@ def start_fits(
 def _fits(
     problem: LaxityResiduals, method: str, runs: int, settings: tuple[int, int], executor: Executor
 ) -> list[StartFits]:
-    """The fits from all starts by one method."""
     points = [load_start(name, problem.parameters) for name in STARTS for _ in range(runs)]
     seed, budget = settings
     fits = _with_interrupt(
@@ -249,7 +248,6 @@ def _fits(
 def _profiles(
     model: LaxityModel, laxity: Laxity, seed: int, executor: Executor
 ) -> tuple[Profile, ...]:
-    """Profiles of all parameters from noisy data."""
     noisy = add_noise(laxity, sd_mm=NOISE_MM, sd_deg=NOISE_DEG, seed=seed)
 
     def profiled(problem: Problem) -> tuple[Profile, ...]:

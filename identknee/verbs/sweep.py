@@ -249,7 +249,6 @@ def _lost(model: LaxityModel, free: FreeParameters, theta: Array) -> list[str]:
 
 
 def _findings(setup: Identification, survey: Survey) -> tuple[Finding, ...]:
-    """Findings about the best fit, and whether others fit as well."""
     searches = survey.searches
     if survey.target is None:
         return (no_prediction_finding(setup),)

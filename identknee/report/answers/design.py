@@ -150,7 +150,6 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
 
 
 def _step_words(answer: Design, row: Mapping[str, Any]) -> str:
-    """What is to be done in one step."""
     name, choice = row["name"], answer.choice
     if row["kind"] == "trial":
         return f"one more {_trial(answer, name)}"

@@ -32,7 +32,6 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
 
 
 def _combination_words(names: Sequence[str], direction: Array) -> str:
-    """A combination with its parameters in words."""
     named = [
         (f"{share:+.2f}", label_without_unit(name)) for name, share in shares(names, direction)
     ]

@@ -93,7 +93,6 @@ def _most_influential(answer: GlobalSensitivity) -> str:
 
 
 def _group(answer: GlobalSensitivity, name: str, words: Callable[[str], str]) -> str:
-    """A group of outputs, its coordinate in `words`."""
     group = answer.group_named(name)
     return name if group is None else f"{words(group.coordinate)}, {group.place}"
 

@@ -135,7 +135,6 @@ def _step(found: Overview, further: Sequence[tuple[str, str]]) -> tuple[str, str
 
 
 def _left(n_opening: int, cautions: Sequence[Finding], *, is_cut: bool) -> str:
-    """How many findings more there are."""
     n = max(n_opening, 0) + len(cautions)
     if not n:
         return "The findings in full" if is_cut else ""
