@@ -3,7 +3,7 @@
 import re
 import shutil
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -58,16 +58,12 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
     stem, side = file_name(knee.name), knee.side[0]
     geometry = prepare_folder(folder / "Geometry")
     root = ET.Element("OpenSimDocument", Version="40000")
-    model = ET.SubElement(root, "Model", name=stem)
-    _text(model, "credits", f"{knee.name}, written by identknee. {knee.description}".strip())
-    _text(model, "length_units", "meters")
-    _text(model, "force_units", "N")
+    said = f"{knee.name}, written by identknee. {knee.description}".strip()
+    model = _added(root, "Model", stem, credits=said, length_units="meters", force_units="N")
     bodies = _objects(model, "BodySet")
     meshes = _objects(model, "ContactGeometrySet")
     for bone, names in SURFACES.items():
-        frame, body = frames[bone], ET.SubElement(bodies, "Body", name=f"{bone}_{side}")
-        for tag, value in BODY.items():
-            _text(body, tag, value)
+        frame, body = frames[bone], _added(bodies, "Body", f"{bone}_{side}", **BODY)
         wraps = ET.SubElement(ET.SubElement(body, "WrapObjectSet"), "objects")
         for ligament in written.ligaments:
             if ligament.wrap is not None and ligament.wrap.bone == bone:
@@ -77,48 +73,55 @@ def write_minimal_model(knee: Knee, folder: Path) -> Path:
             local = surface.moved(frame.axes, -frame.axes @ frame.origin).scaled(1.0 / MM_PER_M)
             file = write_surface(local, geometry / f"{stem}_{name}.stl").name
             # To be seen on its body, and as contact geometry.
-            shown = ET.SubElement(attached, "Mesh", name=name)
-            _text(shown, "socket_frame", "..")
-            _text(shown, "mesh_file", file)
-            mesh = ET.SubElement(meshes, "ContactMesh", name=f"{name}_contact")
-            _text(mesh, "socket_frame", f"/bodyset/{bone}_{side}")
-            _text(mesh, "location", "0 0 0")
-            _text(mesh, "orientation", "0 0 0")
-            _text(mesh, "filename", f"Geometry/{file}")
+            _added(attached, "Mesh", name, socket_frame="..", mesh_file=file)
+            _added(
+                meshes,
+                "ContactMesh",
+                f"{name}_contact",
+                socket_frame=f"/bodyset/{bone}_{side}",
+                location="0 0 0",
+                orientation="0 0 0",
+                filename=f"Geometry/{file}",
+            )
     joints = _objects(model, "JointSet")
-    weld = ET.SubElement(joints, "WeldJoint", name=f"ground_femur_{side}")
-    joint = ET.SubElement(joints, "CustomJoint", name=f"knee_{side}")
-    sockets = (weld, "/ground", "femur"), (joint, f"/bodyset/femur_{side}", "tibia")
-    for element, parent, child in sockets:
-        _text(element, "socket_parent_frame", parent)
-        _text(element, "socket_child_frame", f"/bodyset/{child}_{side}")
+    femur, tibia = (f"/bodyset/{bone}_{side}" for bone in SURFACES)
+    sockets = {"socket_parent_frame": "/ground", "socket_child_frame": femur}
+    _added(joints, "WeldJoint", f"ground_femur_{side}", **sockets)
+    sockets = {"socket_parent_frame": femur, "socket_child_frame": tibia}
+    joint = _added(joints, "CustomJoint", f"knee_{side}", **sockets)
     coordinates = ET.SubElement(joint, "coordinates")
     transform = ET.SubElement(joint, "SpatialTransform")
     for place, name, direction, offset in _axes(knee, frames):
         coordinate = f"knee_{name}_{side}"
         ET.SubElement(coordinates, "Coordinate", name=coordinate)
-        element = ET.SubElement(transform, "TransformAxis", name=place)
-        _text(element, "coordinates", coordinate)
-        _text(element, "axis", " ".join(map(str, direction)))
-        function = ET.SubElement(element, "LinearFunction", name="function")
-        _text(function, "coefficients", f"1 {offset!r}")
+        axis = " ".join(map(str, direction))
+        element = _added(transform, "TransformAxis", place, coordinates=coordinate, axis=axis)
+        _added(element, "LinearFunction", "function", coefficients=f"1 {offset!r}")
     forces = _objects(model, "ForceSet")
     for ligament in written.ligaments:
         element = ET.SubElement(forces, LIGAMENT_CLASS, name=ligament.name)
         line = ET.SubElement(element, "GeometryPath", name="geometrypath")
         points = ET.SubElement(ET.SubElement(line, "PathPointSet"), "objects")
         for bone, frame in frames.items():
-            point = ET.SubElement(points, "PathPoint", name=f"{ligament.name}_{bone}")
-            _text(point, "socket_parent_frame", f"/bodyset/{bone}_{side}")
-            end = frame.to_local(getattr(ligament, bone)) / MM_PER_M
-            _text(point, "location", " ".join(repr(float(x)) for x in end))
+            _added(
+                points,
+                "PathPoint",
+                f"{ligament.name}_{bone}",
+                socket_parent_frame=f"/bodyset/{bone}_{side}",
+                location=_numbers(frame.to_local(getattr(ligament, bone)) / MM_PER_M),
+            )
         if ligament.wrap is not None:
-            around = ET.SubElement(ET.SubElement(line, "PathWrapSet"), "objects")
-            around = ET.SubElement(around, "PathWrap", name=f"{ligament.name}_wraps")
-            _text(around, "wrap_object", f"{ligament.name}_wrap")
-        _text(element, "linear_stiffness", repr(1000.0 * ligament.stiffness_kN))
-        _text(element, "transition_strain", repr(TRANSITION_STRAIN))
-        _text(element, "slack_length", repr(slack_length(ligament)))
+            around, name = (
+                ET.SubElement(ET.SubElement(line, "PathWrapSet"), "objects"),
+                ligament.name,
+            )
+            _added(around, "PathWrap", f"{name}_wraps", wrap_object=f"{name}_wrap")
+        _add_texts(
+            element,
+            linear_stiffness=repr(1000.0 * ligament.stiffness_kN),
+            transition_strain=repr(TRANSITION_STRAIN),
+            slack_length=repr(slack_length(ligament)),
+        )
     ET.indent(root)
     path = folder / f"{stem}.osim"
     return write_atomically(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
@@ -145,14 +148,16 @@ def _wrap_object(objects: Element, ligament: Ligament, frame: Frame) -> None:
             warnings.simplefilter("ignore", UserWarning)
             turns = Rotation.from_matrix(turn).as_euler("XYZ")
         kind = "WrapCylinder"
-    element = ET.SubElement(objects, kind, name=f"{ligament.name}_wrap")
-    centre = frame.to_local(wrap.centre[None])[0] / MM_PER_M
-    _text(element, "xyz_body_rotation", " ".join(repr(float(x)) for x in turns))
-    _text(element, "translation", " ".join(repr(float(x)) for x in centre))
-    _text(element, "quadrant", quadrant)
-    _text(element, "radius", repr(wrap.radius_mm / MM_PER_M))
-    if wrap.axis is not None:
-        _text(element, "length", "1")
+    _added(
+        objects,
+        kind,
+        f"{ligament.name}_wrap",
+        xyz_body_rotation=_numbers(turns),
+        translation=_numbers(frame.to_local(wrap.centre[None])[0] / MM_PER_M),
+        quadrant=quadrant,
+        radius=repr(wrap.radius_mm / MM_PER_M),
+        **({} if wrap.axis is None else {"length": "1"}),
+    )
 
 
 def file_name(name: str, ending: str = "") -> str:
@@ -185,8 +190,20 @@ def _objects(model: Element, kind: str) -> Element:
     return ET.SubElement(ET.SubElement(model, kind, name=kind.lower()), "objects")
 
 
-def _text(parent: Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = text
+def _added(parent: Element, tag: str, name: str, **texts: str) -> Element:
+    """A new element of this name, with a child for each of the texts."""
+    made = ET.SubElement(parent, tag, name=name)
+    _add_texts(made, **texts)
+    return made
+
+
+def _add_texts(parent: Element, **texts: str) -> None:
+    for tag, text in texts.items():
+        ET.SubElement(parent, tag).text = text
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(x)) for x in values)
 
 
 # Ends that differ by less [mm] are the same; files round further off.
@@ -328,4 +345,4 @@ def _set(element: Element, tag: str, *values: float) -> None:
         return
     before = [float(x) for x in (child.text or "").split()]
     if len(before) != len(values) or not np.allclose(before, values, rtol=SAME_NUMBER, atol=0.0):
-        child.text = " ".join(repr(float(x)) for x in values)
+        child.text = _numbers(values)

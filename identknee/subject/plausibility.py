@@ -297,14 +297,11 @@ class LimitTable(Part):
             As `Limit`.
         """
         quantity, less = self.difference_of or (self.quantity or "", "")
-        form: Form = "strength"
-        stated = self.strength
-        if stated is None:
-            form, stated = "normal", self.normal
+        form: Form = "strength" if self.strength else "normal" if self.normal else "within"
+        stated = self.strength or self.normal
         size, spread = (
             (self.within or 0.0, self.scale or 0.0) if stated is None else (stated.mean, stated.sd)
         )
-        form = "within" if stated is None else form
         return Limit(
             form=form,
             quantity=quantity,
