@@ -27,10 +27,9 @@ from identknee.runs.declare import (
     entry,
 )
 from identknee.runs.words import amount, interval, listed, unit_of
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import IN_WORDS, Answer, Question
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
-from identknee.verbs.question import IN_WORDS, Question
 from identknee.verbs.registry import verbs_with_answer
 from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation

@@ -32,10 +32,9 @@ from identknee.model.quantities import force_names, quantity_named
 from identknee.runs.declare import OF_PARAMETER, Array, array, declared, derived, entry
 from identknee.runs.findings import Doubt, without_repeats
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]
