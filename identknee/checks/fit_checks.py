@@ -563,7 +563,7 @@ def check_fit(
     fitted: Fitted,
     others: Sequence[Finding] = (),
 ) -> tuple[Finding, ...]:
-    """What speaks against a fit, the gravest first.
+    """Findings about a fit, the most severe first.
 
     Conventions of the table are looked at first: a broken one explains trials that contradict one
     another, which are then not listed.

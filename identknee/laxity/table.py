@@ -612,9 +612,9 @@ def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
         if column not in file.columns:
             continue
         values = np.array([_known(row, column) for row in rows])
-        told = file.in_radians.get(column)
-        if told and values.size and np.nanmax(np.abs(values)) > MOST_TURNED_DEG:
-            why = f"{told}, and in radians these are too large"
+        stated = file.in_radians.get(column)
+        if stated and values.size and np.nanmax(np.abs(values)) > MOST_TURNED_DEG:
+            why = f"{stated}, and in radians these are too large"
             file.refuse(1, column, why, "Write inDegrees=yes above endheader if they are degrees.")
         if column == FLEXION:
             _check_counting(file, rows, values)

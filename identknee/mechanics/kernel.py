@@ -86,7 +86,7 @@ EXPANSION_ERROR = 0.01  # 1/mm; of a minimum found so far from where the expansi
 SETTLED = 1e-8  # mm; a Newton step as short leaves nothing above rounding
 MOST_NEAR_STEPS = 12
 FLOOR_MARGIN = 1e-3  # N/mm; below this stiffness a pose is not unique
-SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would creep on for ever
+SLACK_RESIDUAL = 1e-3  # N; with less than this and no stiffness, the search would not end
 MOST_ITERATIONS = 200
 
 

@@ -2,7 +2,7 @@
 
 A Gaussian process in each coordinate whose standard deviations and correlation lengths are those
 of highest marginal likelihood, with everything taken out that a change of the fitted parameters
-could do. Parameters that are fitted while it is averaged over have intervals that allow for
+could do. Parameters that are fitted while it is marginalised have intervals that allow for
 a model that is wrong, but only as far as the error is smooth and of the size stated [1]_.
 
 References
@@ -169,7 +169,7 @@ class SmoothDiscrepancy:
 
     @property
     def sentence(self) -> str:
-        """What was averaged over."""
+        """What was marginalised."""
         sizes = [
             f"{label_without_unit(name)} {amount(sd, unit_of(name), 2)}"
             for name, sd in zip(COORDINATES, self.sd.tolist(), strict=True)

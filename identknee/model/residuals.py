@@ -104,7 +104,7 @@ class LaxityResiduals:
         share taken out.
     shared
         What further errors of one standard deviation change in the coordinates, shape
-        ``(n, 5, k)``: they are averaged over, as errors that many values share. None for none.
+        ``(n, 5, k)``: they are marginalised, as errors that many values share. None for none.
     offset
         What is added to predicted coordinates [mm, deg], shape ``(n, 5)``; nothing if None.
 

@@ -341,10 +341,10 @@ def resize(figure: Figure, width_mm: float) -> None:
 
 def _has_clash(figure: Figure) -> bool:
     """Whether titles or labels of axes lie upon one another or beyond the figure."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         figure.draw_without_rendering()
-    if any("collapsed" in str(x.message) for x in told):
+    if any("collapsed" in str(x.message) for x in raised):
         return True
     words = [
         y

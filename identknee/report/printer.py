@@ -40,7 +40,7 @@ def brief_text(answer: Answer) -> str:
 
 
 def brief_lines(answer: Answer) -> list[str]:
-    """The main sentences, each with its first table, the gravest findings, and a count of the rest.
+    """The main sentences, each with its first table, the most severe findings, how many more.
 
     All of it is in `terminal_lines`, in the files and in the report.
     """

@@ -786,7 +786,7 @@ ligaments. Check that the columns of loads are there.'
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
-    """What a terminal shows, the gravest first.
+    """What a terminal shows, the most severe first.
 
     Examples
     --------
@@ -804,7 +804,7 @@ def by_severity(findings: Iterable[Found]) -> list[Found]:
 
 
 def without_repeats(findings: Iterable[Found]) -> tuple[Found, ...]:
-    """The gravest first, each thing once."""
+    """The most severe first, each once."""
     kept: dict[tuple[Any, ...], Found] = {}
     for x in by_severity(findings):
         kept.setdefault(x.identity, x)

@@ -42,7 +42,7 @@ IN_WORDS = {
     "bounds": "bounds",
     "uncertainty": "uncertainty of knee and tests",
     "plausibility": "limits of plausibility",
-    "discrepancy": "error of the model that is averaged over",
+    "discrepancy": "error of the model that is marginalised",
 }
 
 

@@ -124,10 +124,10 @@ class Identification:
         default=(),
     )
     discrepancy: SmoothDiscrepancy | None = entry(
-        "The smooth error of the model that was averaged over; None for none", default=None
+        "The smooth error of the model that was marginalised; None for none", default=None
     )
     nuisances_at: tuple[Problem, Array] | None = entry(
-        "Where the nuisances were averaged over: the problem that has them, and its best fit; "
+        "Where the nuisances were marginalised: the problem that has them, and its best fit; "
         "None where they are among the parameters",
         default=None,
     )
@@ -281,8 +281,8 @@ def identification(
     scales = discrepancy_of(discrepancy)
     if scales is not None and residuals.weighting == "unit":
         raise ValueError(
-            "an error of the model is averaged over only beside a stated noise; add --noise, for "
-            "example --noise 0.5mm,0.5deg"
+            "an error of the model is marginalised only where the noise is stated; add --noise, "
+            "for example --noise 0.5mm,0.5deg"
         )
     if has_shared_errors(knee.uncertainty) and residuals.weighting == "unit":
         raise ValueError(

@@ -229,7 +229,7 @@ Plausible = Annotated[
 Discrepancy = Annotated[
     DiscrepancyLike,
     option(
-        "An error of the model, smooth in flexion and load, that is averaged over: none, smooth, "
+        "An error of the model, smooth in flexion and load, that is marginalised: none, smooth, "
         "or the scales of its prior, such as 0.5mm,1deg. smooth stands for 1mm,2deg.",
         in_python="Or two numbers in mm and deg.",
         metavar="none|smooth|MM,DEG",

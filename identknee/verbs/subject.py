@@ -217,7 +217,9 @@ PROPOSAL = (
 class SubjectCheck(SubjectFacts):
     """What is wrong with a subject, and how stable its trials are."""
 
-    findings: tuple[GeometryFinding, ...] = entry("What was found, the gravest first", default=())
+    findings: tuple[GeometryFinding, ...] = entry(
+        "What was found, the most severe first", default=()
+    )
     stability: StabilityReport | None = entry(
         "How stable the trials are; null where an error forbids to simulate them",
         group="stability",

@@ -151,7 +151,7 @@ def sweep(
     else:
         shells = _numbers(distances)
         starts = shell_starts(parameters, n_starts, center=setup.start, distances=shells, seed=seed)
-    # Nuisances are asked of no one, so a start holds the middle of their priors.
+    # Nuisances are not of interest: every start has them at the centre of their priors.
     nuisances = ~parameters.is_of_interest
     starts[:, nuisances] = parameters.start[nuisances]
     run.start_clock()

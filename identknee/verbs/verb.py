@@ -439,8 +439,8 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
                 )
             warned = _subject_warnings(bound.arguments, read)
             if warned:
-                told = without_repeats((*result.findings, *warned))
-                result = replace(result, findings=told)
+                found = without_repeats((*result.findings, *warned))
+                result = replace(result, findings=found)
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.

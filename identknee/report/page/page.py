@@ -70,7 +70,7 @@ class Lead:
     """The first screens of a page, and what they leave for below."""
 
     found: Overview = entry("What all results say together")
-    shown: tuple[str, ...] = entry("The gravest findings, each on a line or two")
+    shown: tuple[str, ...] = entry("The most severe findings, each on a line or two")
     left: str = entry("How many more findings there are, in words; empty for none")
     below: tuple[str, ...] = entry("Findings in full that the first screens leave out or cut short")
     rows: tuple[Row, ...] = entry("The table")
@@ -95,7 +95,7 @@ def lead_of(
     found
         What all results say together.
     cautions
-        Findings that the sentences before the verdict do not say, the gravest first.
+        Findings that the sentences before the verdict do not say, the most severe first.
     picture
         Measured and simulated laxity; empty where there is none.
     further
@@ -593,7 +593,7 @@ def warnings(result: Result) -> Iterator[Statement]:
 
 
 def merge_duplicate_warnings(found: Iterable[tuple[Finding, str]]) -> list[Finding]:
-    """Warnings without those that another result gives too, the gravest first.
+    """Warnings without those that another result gives too, the most severe first.
 
     Parameters
     ----------

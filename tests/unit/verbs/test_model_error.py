@@ -1,4 +1,4 @@
-"""An error of the model that is averaged over: who takes it, what it widens, what is said of it."""
+"""An error of the model that is marginalised: who takes it, what it widens, what is said of it."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
     assert plain.question.discrepancy is None
     assert found.question.discrepancy == SMOOTH
     assert found.question.differences(plain.question) == (
-        "error of the model that is averaged over",
+        "error of the model that is marginalised",
     )
     table = {x.evidence[0].name: x.evidence[0].deviance for x in (plain, found)}
     assert len(table) == 1
