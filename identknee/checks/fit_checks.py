@@ -163,7 +163,7 @@ def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Findi
 def bound_findings(
     theta: Array, parameters: Parameters, fixed: Sequence[str] = ()
 ) -> tuple[Finding, ...]:
-    """Which fitted parameters stand at a bound: there the bound decided, and not the data."""
+    """Which fitted parameters lie at a bound: there the bound decided, not the data."""
     margin = AT_END * (parameters.upper - parameters.lower)
     standing = [
         (name, float(end))

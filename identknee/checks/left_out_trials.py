@@ -1,6 +1,6 @@
 """Which trials of a table are asked about: all but those left out by name or by the table itself.
 
-A trial that is off the course over flexion that all others have is left out before anything is
+A trial that departs from the trend of all others over flexion is left out before anything is
 fitted, in every verb alike. `keep` keeps it, `leave_out` leaves out others.
 """
 
@@ -62,9 +62,9 @@ def replicates_findings(laxity: Laxity, noise_mm: float | None = None) -> tuple[
     names = [laxity.protocol.trials[i] for i in sorted((first, second))]
     n, total = int(is_apart.sum()), int((degrees > 0).sum())
     sentence = (
-        f"Equal loads gave answers too far apart for noise ({n} of {total}): {names[0]} and "
-        f"{names[1]} differ by {off:.2g} {unit}. Several states or knees in one table need a "
-        "column state or tables of their own."
+        f"Trials under equal loads differ by more than noise explains ({n} of {total} repeats): "
+        f"{names[0]} and {names[1]} differ by {off:.2g} {unit}. Several states or knees in one "
+        "table need a column state or tables of their own."
     )
     values = {"n_apart": n, "n_repeated": total, "first": names[0], "second": names[1]}
     return (finding("replicates-apart", "data", {**values, f"off_{unit}": off}, sentence=sentence),)

@@ -329,7 +329,7 @@ def _p_values(fit: LeaveOneOut, falls: Array, counts: IntArray) -> Array:
 
 
 def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
-    """Trials off the course over flexion that others of their load and all others have.
+    """Trials that depart from the trend over flexion of others under their load and of all others.
 
     Every coordinate is a straight line over flexion for each direction of load, bent alike for all
     directions. This is for tables with one load a direction, such as end points of a robot; of

@@ -592,7 +592,7 @@ def path_findings(model: LaxityModel) -> tuple[str, ...]:
             names = ", ".join(model.protocol.trials[i] for i in np.flatnonzero(is_beyond))
             beyond = (
                 f"These poses lie at {low:.0f} to {high:.0f} deg of flexion: predictions of "
-                f"trials far beyond ({names}) is extrapolated."
+                f"trials far beyond ({names}) are extrapolated."
             )
             return (sentence, beyond)
         return (sentence,)

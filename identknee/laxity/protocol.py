@@ -505,7 +505,7 @@ def _rows(file: Path, tables: ProtocolTables) -> dict[str, tuple[str, float, Seq
             raise InputError(file, place, why, "Give fewer angles or values.")
         held = ramp.held.model_dump(exclude={ramp.load})
         if ramp.load in ramp.held.model_fields_set:
-            why = f"{ramp.load} is the load that varies and held as well"
+            why = f"{ramp.load} is both varied and held"
             raise InputError(file, f"{place}, held", why, "Leave it out.")
         _check(file, f"{place}, held", **held)
         _check(file, f"{place}, {FLEXION}", **{FLEXION: ramp.flexion_deg})

@@ -399,7 +399,7 @@ def _check_needed(
         raise InputError(
             path,
             f"trial {trial}",
-            f"translations as {definition} hang on one another and on the angles, and some of "
+            f"translations as {definition} depend on one another and on the angles, and some of "
             "them are blank",
             "Fill in varus, internal rotation and all translations, or leave all of these blank.",
         )
@@ -769,7 +769,7 @@ class LaxityError:
     )
     n_compared: int = entry("Measured values with a prediction", unit="1")
     n_missing: int = entry(
-        "Measured values without one; they are left out, which makes the errors too good", unit="1"
+        "Measured values without one; they are left out, which makes the errors too small", unit="1"
     )
 
 

@@ -1,6 +1,6 @@
 """The text of a laxity table: cells, curves of a rig, statements in comment lines, and angles.
 
-OpenSim storages (``.sto``, ``.mot``) are read as tables: their heads say how angles are counted.
+OpenSim storages (``.sto``, ``.mot``) are read as tables: their heads state the unit of angles.
 """
 
 import csv
@@ -787,7 +787,7 @@ def _stated_numbers(
 
 
 SUFFIXES, MOTION, END = (".sto", ".mot"), ".mot", "endheader"
-COUNTED_BY, NOT_SAID = "inDegrees", "no line inDegrees says how angles are counted"
+COUNTED_BY, NOT_SAID = "inDegrees", "no line inDegrees states the unit of angles"
 DEG = 57.29577951308232
 # A factor that turns radians into degrees, to the digits that people write.
 IN_DEGREES = (57.2, 57.4)

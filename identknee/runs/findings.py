@@ -133,8 +133,8 @@ _ALL = (
         about=About.DATA,
         meaning="A coordinate falls as its load rises in most pairs of opposite loads, which no "
         "knee in stable equilibrium does.",
-        remedy="Turn the sign of one of the two columns, or exchange the columns that changed "
-        "places, and begin again.",
+        remedy="Change the sign of one of the two columns, or exchange the columns that were "
+        "swapped, and repeat the command.",
         invalidates=True,
         distinct=("coordinate",),
     ),
@@ -151,10 +151,10 @@ _ALL = (
         code="angles-in-radians",
         severity=WARNING,
         about=About.DATA,
-        meaning="An OpenSim storage does not say how angles are counted, and was read in radians, "
-        "as OpenSim reads it.",
+        meaning="An OpenSim storage does not state the unit of its angles, and was read in "
+        "radians, as OpenSim reads it.",
         remedy="Write inDegrees=no above endheader, or inDegrees=yes if they are degrees.",
-        template="No line inDegrees says how angles are counted: {columns} were read in radians, "
+        template="No line inDegrees states the unit of angles: {columns} were read in radians, "
         "as OpenSim does. Write inDegrees=yes if they are degrees.",
         distinct=("columns",),
     ),
@@ -165,8 +165,8 @@ _ALL = (
         meaning="Angles had a jump of a whole turn, such as 358 deg beside 2 deg, and were read "
         "without it.",
         remedy="Correct the table if an angle was another one.",
-        template="{n} values of {column} were read less or more a turn of 360 deg: the first, "
-        "{given_deg:g} deg, as {read_deg:g} deg.",
+        template="{n} values of {column} were read with a turn of 360 deg added or removed: the "
+        "first, {given_deg:g} deg, as {read_deg:g} deg.",
         distinct=("column",),
     ),
     FindingKind(
@@ -194,15 +194,16 @@ _ALL = (
         code="replicates-apart",
         severity=WARNING,
         about=About.DATA,
-        meaning="Trials of equal loads gave answers too far apart for noise, as rows of several "
+        meaning="Trials under equal loads differ by more than noise explains, as rows of several "
         "states of a knee in one table do.",
-        remedy="Say in a column state which rows are of which state, or give a table each.",
+        remedy="Say in a column state which rows belong to which state, or give a table for each.",
     ),
     FindingKind(
         code="trial-against-course",
         severity=WARNING,
         about=About.DATA,
-        meaning="A trial is off the course over flexion of the other trials, from the table alone.",
+        meaning="A trial departs from the trend of the other trials over flexion, judged from the "
+        "table alone.",
         remedy="Check the trial in the raw data: keep it with --keep if it is right.",
     ),
     FindingKind(
@@ -217,7 +218,7 @@ _ALL = (
         code="trial-against-fit",
         severity=WARNING,
         about=About.DATA,
-        meaning="A trial is off what a fit to all other trials predicts.",
+        meaning="A trial contradicts what a fit to all other trials predicts.",
         remedy="Check the trial in the raw data, and leave it out with --leave-out if it is wrong.",
     ),
     FindingKind(
@@ -239,7 +240,7 @@ _ALL = (
         doubt=Doubt.MISFIT,
         meaning="The best fit leaves more than nine times the misfit that noise of the stated size "
         "would: a mistake in the data, or something that the model lacks.",
-        remedy="Look at signs, units and side of the data, then run identknee diagnose.",
+        remedy="Check signs, units and side of the data, then run identknee diagnose.",
     ),
     FindingKind(
         code="misfit-improbable",
@@ -257,7 +258,7 @@ _ALL = (
         doubt=Doubt.MISFIT,
         meaning="The data state no noise, and the best fit leaves more than the expected error of "
         "a laxity test (2 mm, 5 deg).",
-        remedy="Look at signs, units and side of the data, then run identknee diagnose.",
+        remedy="Check signs, units and side of the data, then run identknee diagnose.",
     ),
     FindingKind(
         code="noise-unstated",
@@ -272,7 +273,7 @@ _ALL = (
         code="at-bound",
         severity=WARNING,
         about=About.FIT,
-        meaning="Fitted parameters stand at a bound: the bound stopped the fit and not the data.",
+        meaning="Fitted parameters lie at a bound: the bound stopped the fit, not the data.",
         remedy="Widen the bound if values beyond it are possible; else read the other parameters "
         "as those of a knee whose parameter has the value of the bound.",
         distinct=("parameters",),
@@ -412,7 +413,7 @@ _ALL = (
         severity=WARNING,
         about=About.MODEL,
         doubt=Doubt.IMPLAUSIBLE,
-        meaning="A ligament is strained beyond what ligament tissue bears.",
+        meaning="A ligament is strained beyond what ligament tissue withstands.",
         remedy="Do not use strains of this fit; run identknee diagnose.",
         lead=IMPLAUSIBLE,
         template="{ligament} is strained by {strain_pct:.0f} % under {load}, and ligaments fail at "
@@ -436,7 +437,7 @@ _ALL = (
         about=About.MODEL,
         meaning="A ligament carries next to nothing, and by its prior it would carry a load in the "
         "same poses.",
-        remedy="Do not quote its stiffness or its reference strain: look whether it is torn or "
+        remedy="Do not quote its stiffness or its reference strain: check whether it is torn or "
         "absent. A torn, a slack and an absent one fit alike.",
         template="The {ligament} carries nothing in these trials (at most {force_N:.0f} N, by its "
         "prior {prior_force_N:.0f} N in the same poses): torn, slack or absent predict the same.",
@@ -652,7 +653,7 @@ _ALL = (
         "origin-far",
         WARNING,
         "The origin of a frame is far away from the joint surface.",
-        "Put the origin in the joint: forces act there and translations are those of it.",
+        "Put the origin in the joint: forces act there, and translations are those of it.",
     ),
     _geometry(
         "axis-off-landmarks",

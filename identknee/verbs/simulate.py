@@ -224,8 +224,8 @@ def simulate(
     """
     if noise is None and (noise_correlation or noise_student is not None):
         raise ValueError(
-            "--noise-correlation and --noise-student say of what kind the noise is; "
-            "say how large with --noise, for example --noise 0.3mm,0.3deg"
+            "--noise-correlation and --noise-student describe the noise; "
+            "give its size with --noise, for example --noise 0.3mm,0.3deg"
         )
     check_word("continuation", continuation, get_args(Continuation))
     check_word("contact", contact, get_args(Contact))

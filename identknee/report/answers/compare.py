@@ -82,13 +82,13 @@ def _misfit_sentence(answer: Comparison) -> str:
         return "Data and noise are the same, but fewer than two results have a deviance."
     lowest = min(deviances, key=lambda x: deviances[x])
     if max(deviances.values()) - deviances[lowest] <= SAME:
-        return f"Of the same data and noise, {listed(deviances)} leave the same deviance."
+        return f"With the same data and noise, {listed(deviances)} leave the same deviance."
     others = [
         f"{name} by {value - deviances[lowest]:.3g}"
         for name, value in deviances.items()
         if name != lowest
     ]
-    text = f"Of the same data and noise, {lowest} leaves the lowest deviance of the data; "
+    text = f"With the same data and noise, {lowest} leaves the lowest deviance of the data; "
     text += f"it is higher in {listed(others)}."
     logs = {x.name: x.log_evidence for x in answer.misfits if x.log_evidence is not None}
     if len(logs) > 1:

@@ -47,7 +47,7 @@ MOST_LINES = 4
 
 
 def parameters_at_bounds(answer: Calibration) -> tuple[str, ...]:
-    """Names of the parameters that the fit's own warning says to stand at a bound."""
+    """Names of the parameters that the fit's own warning says lie at a bound."""
     search, own = answer.search, answer.search.parameters
     margin = AT_END * (own.upper - own.lower)
     stands = (np.abs(search.theta - own.lower) <= margin) | (
