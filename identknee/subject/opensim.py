@@ -814,10 +814,8 @@ def _parts(surface: Surface) -> list[Surface]:
 
 def _part(surface: Surface, chosen: BoolArray) -> Surface:
     """Some of the triangles of a surface with their vertices, in their order."""
-    faces = surface.faces[chosen]
-    is_used = np.zeros(len(surface.vertices), bool)
-    is_used[faces] = True
-    return Surface(vertices=surface.vertices[is_used], faces=(np.cumsum(is_used) - 1)[faces])
+    used, faces = np.unique(surface.faces[chosen], return_inverse=True)
+    return Surface(vertices=surface.vertices[used], faces=faces.reshape(-1, 3))
 
 
 def _landmarks(bones: Bones) -> tuple[Landmark, ...]:
