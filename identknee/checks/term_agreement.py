@@ -39,10 +39,8 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
     """
     protocol, inner = laxity.protocol, innermost(problem)
     trials = np.nonzero(laxity.is_measured)[0]
-    if protocol.experiment is not None and len(set(protocol.experiment)) > 1:
-        labels: tuple[str, ...] = protocol.experiment
-    else:
-        labels = ("intact",) * laxity.n if protocol.state is None else protocol.state
+    several = len(set(protocol.experiment_names)) > 1
+    labels = protocol.experiment_names if several else protocol.states
     shared = residuals_of(problem).shared
     if shared is not None and _is_across(shared, labels):
         return {}

@@ -306,7 +306,7 @@ def _joined_protocol(experiments: Sequence[Experiment], protocols: Sequence[Prot
         trials=tuple(trials),
         flexion_deg=np.concatenate([x.flexion_deg for x in protocols]),
         loads=np.concatenate([x.loads for x in protocols]),
-        state=tuple(s for x in protocols for s in x.state or (INTACT,) * x.n),
+        state=tuple(s for x in protocols for s in x.states),
         experiment=tuple(
             x.name for x, y in zip(experiments, protocols, strict=True) for _ in y.trials
         ),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.laxity.experiments import INTACT, Cut, cuts_of, state_words
+from identknee.laxity.experiments import Cut, cuts_of, state_words
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table_file import CellFile, TableRow, written
 from identknee.runs.declare import Array, BoolArray, array, declared, entry, name_axis
@@ -470,8 +470,8 @@ def check_paths(superposition: Superposition, protocol: Protocol) -> None:
                 f"{superposition.words(row)}: no table has this trial",
                 "add a row for it, its coordinates blank if they were not measured",
             )
-        if not _is_before(_state(protocol, places[trial]), before):
-            state = _state(protocol, places[trial])
+        state = protocol.states[places[trial]]
+        if not _is_before(state, before):
             raise ValueRefused(
                 f"{superposition.words(row)}: the path was made in the state {state!r}, which is "
                 f"not before {before!r}",
@@ -507,13 +507,9 @@ def _path(protocol: Protocol, trial: str, before: str) -> list[str]:
     if trial in protocol.trials:
         return [trial]
     named = [i for i, x in enumerate(protocol.trials) if x.partition("/")[2] == trial]
-    exact = [i for i in named if _state(protocol, i) == before]
-    earlier = [i for i in named if _is_before(_state(protocol, i), before)]
+    exact = [i for i in named if protocol.states[i] == before]
+    earlier = [i for i in named if _is_before(protocol.states[i], before)]
     return [protocol.trials[i] for i in exact or earlier]
-
-
-def _state(protocol: Protocol, trial: int) -> str:
-    return INTACT if protocol.state is None else protocol.state[trial]
 
 
 def _is_before(state: str, other: str) -> bool:

@@ -255,14 +255,22 @@ class Protocol:
         )
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """State of the knee in each trial, also where all are intact."""
+        return (INTACT,) * self.n if self.state is None else self.state
+
+    @property
+    def experiment_names(self) -> tuple[str, ...]:
+        """Experiment of each trial; empty names where all trials are of one."""
+        return ("",) * self.n if self.experiment is None else self.experiment
+
+    @property
     def series(self) -> IntArray:
         """Number of the experiment and state of each trial, shape ``(n,)``, in their order.
 
         Coordinates are counted from, and compared with, trials of one series alone.
         """
-        states = (INTACT,) * self.n if self.state is None else self.state
-        names = ("",) * self.n if self.experiment is None else self.experiment
-        pairs = list(zip(names, states, strict=True))
+        pairs = list(zip(self.experiment_names, self.states, strict=True))
         number = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
         return np.array([number[x] for x in pairs], dtype=np.int64)
 
@@ -345,27 +353,22 @@ def concatenate(protocols: Sequence[Protocol], *, name: str | None = None) -> Pr
 def _trial_rows(protocol: Protocol) -> list[tuple[Any, ...]]:
     """Flexion, loads, state and experiment of each trial."""
     numbers = np.column_stack([protocol.flexion_deg, protocol.loads]).tolist()
-    series = zip(*_states_and_experiments(protocol), strict=True)
-    return [(*x, *y) for x, y in zip(numbers, series, strict=True)]
-
-
-def _states_and_experiments(protocol: Protocol) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """State and experiment of each trial in words, also where none are stated."""
-    states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
-    return states, ("",) * protocol.n if protocol.experiment is None else protocol.experiment
+    rows = zip(numbers, protocol.states, protocol.experiment_names, strict=True)
+    return [(*x, state, name) for x, state, name in rows]
 
 
 def _appended(first: Protocol, second: Protocol) -> Protocol:
-    (states, names), (more_states, more_names) = map(_states_and_experiments, (first, second))
     known = {x.name: x for x in (*first.experiments, *second.experiments)}
     # Trials added to experiments are of the first of them.
-    experiment = tuple(x or next(iter(known), "") for x in (*names, *more_names))
+    experiment = tuple(
+        x or next(iter(known), "") for x in (*first.experiment_names, *second.experiment_names)
+    )
     return Protocol(
         name=first.name,
         trials=(*first.trials, *second.trials),
         flexion_deg=np.concatenate([first.flexion_deg, second.flexion_deg]),
         loads=np.concatenate([first.loads, second.loads]),
-        state=(*states, *more_states),
+        state=(*first.states, *second.states),
         experiment=experiment if known else None,
         experiments=tuple(known.values()),
     )
@@ -648,7 +651,7 @@ def shown_flexion(protocol: Protocol) -> Array:
     many for a map or a legend it is the nearest of a few.
     """
     shown = np.array(protocol.flexion_deg)
-    names = np.array(protocol.experiment or ("",) * protocol.n)
+    names = np.array(protocol.experiment_names)
     for name in np.unique(names):
         own = names == name
         shown[own] = nominal_flexion(protocol.select(own))

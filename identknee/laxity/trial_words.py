@@ -129,9 +129,9 @@ def load_scenarios(protocol: Protocol) -> tuple[str, ...]:
     ('posterior force', 'unloaded', 'anterior force')
     """
     loads = (" + ".join(loads_words(x, "{what}")) or UNLOADED for x in protocol.loads)
-    states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
     return tuple(
-        x if state == INTACT else f"{x}, {state}" for x, state in zip(loads, states, strict=True)
+        x if state == INTACT else f"{x}, {state}"
+        for x, state in zip(loads, protocol.states, strict=True)
     )
 
 

@@ -56,13 +56,12 @@ ONE = Experiment(name="all", rig="rig", mounting="mounting")
 
 def kinds_of_trials(protocol: Protocol) -> list[tuple[Experiment, str]]:
     """Rig and mounting of each trial, as the first experiment with them, and its state."""
-    states = (INTACT,) * protocol.n if protocol.state is None else protocol.state
     if protocol.experiment is None:
         first = protocol.experiments[0] if protocol.experiments else ONE
-        return [(first, x) for x in states]
+        return [(first, x) for x in protocol.states]
     like: dict[tuple[str, str], Experiment] = {}
     of = {x.name: like.setdefault((x.rig, x.mounting), x) for x in protocol.experiments}
-    return [(of[name], x) for name, x in zip(protocol.experiment, states, strict=True)]
+    return [(of[name], x) for name, x in zip(protocol.experiment, protocol.states, strict=True)]
 
 
 def effects_of_part(

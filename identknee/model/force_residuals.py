@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from identknee.laxity.experiments import INTACT, cuts_of
+from identknee.laxity.experiments import cuts_of
 from identknee.laxity.forces import WRENCH, MeasuredForces, Superposition
 from identknee.laxity.table import Laxity
 from identknee.mechanics.equilibria import LineLigaments
@@ -60,11 +60,10 @@ class ForceResiduals:
 
     def __post_init__(self) -> None:
         """Check that the model has what was measured."""
-        protocol, forces = self.model.protocol, self.forces
+        protocol, forces, knee = self.model.protocol, self.forces, self.model.knee
         for trial, k in np.argwhere(forces.is_measured).tolist():
             owner = forces.names[k].rpartition(".")[0]
-            state = INTACT if protocol.state is None else protocol.state[trial]
-            if members_of(self.model.knee, owner) <= gone_in(self.model.knee, state):
+            if members_of(knee, owner) <= gone_in(knee, protocol.states[trial]):
                 raise ValueRefused(
                     f"the table has the force of {owner} in {protocol.trials[trial]}, where it is "
                     "cut",
@@ -334,8 +333,7 @@ class SuperpositionResiduals:
 
 def _check_cut(model: LaxityModel, made: Superposition, row: int, trial: int) -> None:
     """Refuse a structure that was gone, or that was cut in part after its path was made."""
-    knee, states = model.knee, model.protocol.state
-    state = INTACT if states is None else states[trial]
+    knee, state = model.knee, model.protocol.states[trial]
     members = members_of(knee, made.cut[row])
     if members <= gone_in(knee, state):
         raise ValueRefused(

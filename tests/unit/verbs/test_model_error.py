@@ -57,7 +57,7 @@ def test_the_data_determine_less(bent: ik.Laxity) -> None:
 
 def test_it_is_refused_without_a_noise(bent: ik.Laxity) -> None:
     unknown = ik.Laxity(protocol=bent.protocol, coordinates=bent.coordinates)
-    with pytest.raises(ValueError, match="stated noise"):
+    with pytest.raises(ValueError, match="noise is stated"):
         ik.information("reference", unknown, fixed=ALL_BUT_FOUR, discrepancy="smooth")
 
 
