@@ -27,6 +27,7 @@ from identknee.laxity.protocol import (
 from identknee.laxity.table import Laxity
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.contact_loads import contact_jacobian, contact_values
+from identknee.model.experiments import members_of
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG
@@ -246,8 +247,7 @@ def strongest_trials(protocol: Protocol, held: Sequence[float] = (0.0,) * len(LO
 def structures_left(model: LaxityModel, state: str) -> tuple[str, ...]:
     """Ligaments and groups of the knee that are not cut through in a state."""
     gone = {x.ligament for x in cuts_of(state) if not x.is_partial}
-    members = {x.name: set(x.members) for x in model.knee.groups}
-    return tuple(x for x in model.tied.names if x not in gone and not members.get(x, {x}) & gone)
+    return tuple(x for x in model.tied.names if not gone & {x, *members_of(model.knee, x)})
 
 
 @declared

@@ -229,13 +229,10 @@ def _jacobian(
     jacobian = np.full((len(trials), len(COMPARTMENTS), len(KINDS), theta.size), np.nan)
     if model.parts:
         for part in model.parts:
-            place = {int(x): i for i, x in enumerate(part.trials)}
-            rows = [i for i, x in enumerate(trials) if x in place]
-            if rows:
-                own = [place[trials[i]] for i in rows]
-                part_prediction = part.prediction(prediction)
-                of_part = _jacobian(part.model, part_prediction, own, loads_of, strengthening)
-                part.spread(of_part, jacobian, np.array(rows))
+            rows, own = part.places(trials)
+            if rows.size:
+                whole = part.model, part.prediction(prediction), own.tolist()
+                part.spread(_jacobian(*whole, loads_of, strengthening), jacobian, rows)
         return jacobian
     amplitudes = model.amplitudes(theta)
     settings = model.extension.changes(model.setting(theta, is_changed=False), amplitudes)

@@ -168,14 +168,12 @@ def structure_wrenches(
     values, by_twist = np.full((n, k), np.nan), np.full((n, k, k), np.nan)
     jacobian = np.full((n, k, prediction.theta.size), np.nan)
     for part in model.parts:
-        place = {int(x): i for i, x in enumerate(part.trials)}
-        rows = [i for i, x in enumerate(trials) if x in place]
-        if not rows:
-            continue
-        own = np.array([place[trials[i]] for i in rows])
-        found = _of_one_part(part.model, part.prediction(prediction), own, [names[i] for i in rows])
-        values[rows], by_twist[rows] = found.values, found.by_twist
-        part.spread(found.jacobian, jacobian, np.array(rows))
+        rows, own = part.places(trials)
+        if rows.size:
+            cut = [names[i] for i in rows]
+            found = _of_one_part(part.model, part.prediction(prediction), own, cut)
+            values[rows], by_twist[rows] = found.values, found.by_twist
+            part.spread(found.jacobian, jacobian, rows)
     return StructureWrenches(values=values, jacobian=jacobian, by_twist=by_twist)
 
 

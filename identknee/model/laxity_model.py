@@ -316,6 +316,12 @@ class Part:
                 values[name] = values[name][:, :, self.columns]
         return replace(whole, theta=whole.theta[self.columns], **values)
 
+    def places(self, trials: Sequence[int] | IntArray) -> tuple[IntArray, IntArray]:
+        """Which of some trials of the whole are its own, and their places in it."""
+        asked = np.asarray(trials, np.int64)
+        rows = np.flatnonzero(np.isin(asked, self.trials))
+        return rows, np.searchsorted(self.trials, asked[rows])
+
     def spread(self, values: Array, into: Array, rows: IntArray | None = None) -> None:
         """Put derivatives by its parameters among those by all.
 

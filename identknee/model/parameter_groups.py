@@ -91,8 +91,7 @@ def tied(knee: Knee) -> ParameterGroups:
     >>> tied(reference_knee()).names
     ('ACL', 'PCL', 'LCL', 'MCL')
     """
-    group_of = {member: group.name for group in knee.groups for member in group.members}
-    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    owners = knee.owners
     names = tuple(dict.fromkeys(owners))
     member = np.array([[float(owner == x) for x in names] for owner in owners])
     member = member.reshape(len(owners), len(names))

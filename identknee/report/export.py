@@ -24,7 +24,7 @@ from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
-from identknee.report.presenter import Range, of_type, presenter_of
+from identknee.report.presenter import Range, of_type, presenter_of, settings_of
 from identknee.report.scene import distance_from_femur
 from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
@@ -352,7 +352,7 @@ def export_knee(
         answer = latest.answer
         stated = with_stated_uncertainty_of(knee, answer)
         parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
-        settings = {} if answer.record is None else answer.record.settings
+        settings = settings_of(answer)
         table = parameter_table(
             parameters,
             fitted_values(answer),

@@ -149,8 +149,7 @@ def draw_scene(
             ha="left" if right > 3 else "right" if right < -3 else "center",
             va="center" if abs(up) < 4 else "bottom" if up > 0 else "top",
         )
-    group_of = {member: group.name for group in knee.groups for member in group.members}
-    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
+    owners = knee.owners
     names = list(dict.fromkeys(owners))
     ends = view.project(tibial)[:, :2]
     places = np.array([ends[[x == name for x in owners]].mean(axis=0) for name in names])

@@ -754,6 +754,12 @@ class Knee:
         """Length of each ligament in the scanned pose [mm], ``(n_ligaments,)``."""
         return np.array([x.length for x in self.ligaments])
 
+    @property
+    def owners(self) -> list[str]:
+        """Group of each ligament, or its own name where it is in none."""
+        group_of = {member: group.name for group in self.groups for member in group.members}
+        return [group_of.get(x.name, x.name) for x in self.ligaments]
+
     def ligament(self, name: str) -> Ligament:
         """The ligament called `name`.
 

@@ -166,9 +166,7 @@ def bundles(knee: Knee) -> InputsChange:
     .. [1] Blankevoort and Huiskes (1991), J. Biomech. Eng. 113(3), 263-269.
            https://doi.org/10.1115/1.2894883
     """
-    group_of = {member: group.name for group in knee.groups for member in group.members}
-    owners = [group_of.get(x.name, x.name) for x in knee.ligaments]
-    ligaments = list(dict.fromkeys(owners))
+    ligaments = list(dict.fromkeys(knee.owners))
     strains = [f"{x}_strain_spread_pct" for x in ligaments]
     places = [
         f"{ligament}_{bone}_{axis}_spread_mm"
@@ -184,7 +182,7 @@ def bundles(knee: Knee) -> InputsChange:
         n * [SPREAD_SD] + m * [PLACE_SD],
         lower=n * [0.0] + m * [-PLACE_LIMIT],
         upper=n * [SPREAD_LIMIT] + m * [PLACE_LIMIT],
-        changed=partial(_split, np.array([ligaments.index(x) for x in owners])),
+        changed=partial(_split, np.array([ligaments.index(x) for x in knee.owners])),
         differs_by_replica=True,
     )
 

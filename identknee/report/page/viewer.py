@@ -24,7 +24,7 @@ from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
-from identknee.report.presenter import presenter_of
+from identknee.report.presenter import presenter_of, settings_of
 from identknee.report.scene import distance_from_femur
 from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
 from identknee.runs.record import Outcome
@@ -453,7 +453,7 @@ def answered_model(answer: Answer, knee: Knee, protocol: Protocol) -> LaxityMode
     A fit to measured laxity may keep another pattern of grouped bundles than the knee, and begins
     at measured poses; at the same parameters another model has other forces.
     """
-    settings = {} if answer.record is None else answer.record.settings
+    settings = settings_of(answer)
     continuation: Continuation = settings.get("continuation") or "continuation"
     if isinstance(answer, Calibration):
         return table_model(knee, answer.data, continuation)[0]
