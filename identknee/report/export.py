@@ -201,6 +201,7 @@ class _Poses:
         triangles = [x.faces[:, order] + i for x, i in zip(surfaces, starts[:-1], strict=True)]
         gaps = np.concatenate(self._contact_gaps(placement))
         places = np.concatenate([*lines, *sheets])
+        pressure = self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
         numbers = [np.full(len(x.faces), i) for i, x in enumerate(surfaces)]
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
         pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
@@ -216,17 +217,12 @@ class _Poses:
             {
                 "part": np.concatenate([len(BONES) + np.arange(n), *numbers]),
                 "gap_mm": np.r_[empty, gaps],
-                "pressure_MPa": np.r_[
-                    empty, (self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0])
-                ],
+                "pressure_MPa": np.r_[empty, pressure],
                 "tension_N": np.r_[tension, none],
                 "strain_pct": np.r_[strain, none],
             },
             {
-                "parts": [
-                    *BONES,
-                    *[*own, *(f"line {i + 1} of effects" for i in range(n - len(own)))],
-                ],
+                "parts": [*BONES, *own, *(f"line {i + 1} of effects" for i in range(n - len(own)))],
                 "trial": [self._model.protocol.trials[trial]],
             },
         )
@@ -271,18 +267,11 @@ def parameter_table(
         found = next(iter(ranges.get(name, ())), None)
         center, sd = float(parameters.center[i]), float(parameters.prior_sd[i])
         is_log = bool(parameters.is_log[i])
-        writer.writerow(
-            [
-                *(re.sub(r"\W", "_", name), name, "lin"),
-                *(float(parameters.lower[i]), float(parameters.upper[i])),
-                *(float(parameters.start[i]), int(name not in fixed)),
-                *(
-                    "logNormal" if is_log else "normal",
-                    f"{np.log(center) if is_log else center};{sd}",
-                ),
-                *(fitted.get(name, ""), *_set_of(found)),
-            ]
-        )
+        prior = f"{np.log(center) if is_log else center};{sd}"
+        numbers = (float(x[i]) for x in (parameters.lower, parameters.upper, parameters.start))
+        row = [re.sub(r"\W", "_", name), name, "lin", *numbers, int(name not in fixed)]
+        row += ["logNormal" if is_log else "normal", prior, fitted.get(name, ""), *_set_of(found)]
+        writer.writerow(row)
     return text.getvalue()
 
 
