@@ -35,20 +35,19 @@ def compared_forces(problem: Problem, theta: Array) -> ComparedForces | None:
     columns = [np.zeros((3, 0))]
     for term in terms:
         if isinstance(term, ForceResiduals):
-            made, predicted, sd = term.forces, term.predicted(theta), term.forces.sd
-            of_trials = term.model.protocol.trials
-            measured = made.is_measured
-            for i, k in np.argwhere(measured).tolist():
-                names.append(made.names[k])
-                trials.append(of_trials[i])
-            columns.append(np.array([x[measured] for x in (made.values, sd, predicted)]))
+            measured, values, sd = term.forces.is_measured, term.forces.values, term.forces.sd
+            of_row = term.model.protocol.trials
+            labels = [term.forces.names] * len(of_row)
         elif isinstance(term, SuperpositionResiduals):
-            replayed, predicted, sd = term.superposition, term.predicted(theta), term.sd
-            measured = replayed.is_measured
-            for i, k in np.argwhere(measured).tolist():
-                names.append(f"{replayed.cut[i]}.{(*WRENCH, RESULTANT)[k]}")
-                trials.append(replayed.trials[i])
-            columns.append(np.array([x[measured] for x in (replayed.values, sd, predicted)]))
+            made, sd = term.superposition, term.sd
+            measured, values, of_row = made.is_measured, made.values, made.trials
+            labels = [tuple(f"{cut}.{x}" for x in (*WRENCH, RESULTANT)) for cut in made.cut]
+        else:
+            continue
+        places = np.argwhere(measured).tolist()
+        names += [labels[i][k] for i, k in places]
+        trials += [of_row[i] for i, _ in places]
+        columns.append(np.array([x[measured] for x in (values, sd, term.predicted(theta))]))
     if not names:
         return None
     values, sds, predictions = np.hstack(columns)

@@ -285,7 +285,11 @@ def summary_of(record: Any) -> dict[str, Any]:
 
 
 def from_plain(
-    cls: type[Made], values: Any, refuse: Callable[[Fault], InputError] | None = None
+    cls: type[Made],
+    values: Any,
+    *,
+    file: PathLike = "stored result",
+    remedy: str = "Compute it again.",
 ) -> Made:
     """The record that `to_plain` took apart, or one put together from files.
 
@@ -295,15 +299,19 @@ def from_plain(
         A class of declared fields.
     values
         Its fields by their names or those they have in files; what is beside them is not read.
-    refuse
-        Turns a `Fault` into the error to raise.
+    file, remedy
+        Where they were read from, and what to do if they are wrong.
 
     Raises
     ------
     InputError
-        If a value is missing or of the wrong kind, or as `refuse` has it.
+        If a value is missing or of the wrong kind.
     """
-    refuse = refuse or _refuse
+
+    def refuse(fault: Fault) -> InputError:
+        where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
+        return InputError(file, where, fault.why, fault.remedy or remedy)
+
     checked = validated(_model(cls), values, refuse)
     try:
         return _built(cls, checked)
@@ -338,11 +346,6 @@ def type_hints_of(cls: Any) -> dict[str, Any]:
         made = {x: get_type_hints(getattr(cls, x).fget)["return"] for x in derived_entries(cls)}
         _HINTS[cls] = get_type_hints(cls) | made
     return _HINTS[cls]
-
-
-def _refuse(fault: Fault) -> InputError:
-    where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
-    return InputError("stored result", where, fault.why, fault.remedy or "Compute it again.")
 
 
 def _plain(value: Any, of_record: Any) -> Any:

@@ -24,7 +24,6 @@ from identknee.runs.files import (
     write_json,
 )
 from identknee.runs.schema import (
-    Fault,
     from_plain,
     read_json,
     record_within,
@@ -353,13 +352,9 @@ def loaded(file: Path, summary: Mapping[str, Any], cls: type[Given]) -> Given:
     groups = _groups(arrays, summary["record"].get("arrays"))
     if fault := axis_fault(cls, groups):
         raise InputError(arrays, f"group {fault[0]}", fault[1], AGAIN)
-
-    def refuse(fault: Fault) -> InputError:
-        where = "/".join(str(x) for x in (*fault.place, *([fault.key] * bool(fault.key))))
-        return InputError(file, where, fault.why, fault.remedy or AGAIN)
-
     try:
-        answer: Given = from_plain(cls, with_arrays(cls, dict(summary), groups), refuse)
+        values = with_arrays(cls, dict(summary), groups)
+        answer: Given = from_plain(cls, values, file=file, remedy=AGAIN)
     # What mutated files hold may be of any kind where a table or a list should stand.
     except (AttributeError, IndexError, KeyError, TypeError) as error:
         raise InputError(file, "", f"it does not fit its arrays ({error})", AGAIN) from error
