@@ -43,6 +43,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import AT, quantity_named
 from identknee.runs.declare import OF_COORDINATE, Array, array, declared, derived, entry
 from identknee.runs.errors import suggestion
+from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, has_priors
@@ -227,8 +228,10 @@ def design(
     """
     asked = None if candidates is None else read_trials(candidates)
     costs = costs_of(cost)
+    lost: tuple[str, ...] = ()
     if data is None:
         data, noise = _planned(subject, protocol, noise), None
+        lost = lost_plan_sentence(data)
     elif protocol is not None:
         raise ValueError("--protocol is for trials that are planned; leave it out beside DATA.csv")
     setup = identification(
@@ -295,6 +298,7 @@ def design(
         degrees_of_freedom=degrees,
         states=() if made_in is None else tuple(made_in[i] for i in choice.chosen),
         assumptions=(
+            *lost,
             *setup.assumptions,
             *about_errors,
             *_step_sentence(steps),
@@ -351,6 +355,20 @@ def _planned(knee: Knee, protocol: TrialsLike | None, noise: NoiseLike) -> Laxit
         raise ValueError("planned trials need the noise that is expected: --noise 0.5mm,0.5deg")
     model = LaxityModel(knee=knee, protocol=read_trials(protocol))
     return with_noise(model.simulate(model.parameters.start), noise)
+
+
+def lost_plan_sentence(planned: Laxity) -> tuple[str, ...]:
+    """Which planned trials have no equilibrium of the subject as it stands; none where all have."""
+    lost = np.flatnonzero(~planned.is_measured.any(axis=1)).tolist()
+    names = [planned.protocol.trials[i] for i in lost]
+    if not names:
+        return ()
+    has = "has" if len(names) == 1 else "have"
+    sentence = (
+        f"Of the planned trials {listed(names)} {has} no equilibrium of the subject as it stands: "
+        "the advice rests on the others."
+    )
+    return (sentence,)
 
 
 def _other_steps(
