@@ -1,6 +1,6 @@
 """Conventions that people break in tables, and which explains why a model does not fit one."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from identknee.calibrate.fit import fit
-from identknee.calibrate.problem import ProblemWithPriors, WhitenedResiduals
+from identknee.calibrate.problem import Problem, ProblemWithPriors, WhitenedResiduals
 from identknee.checks.data_noise import STATED_SPREAD, UNITS, noise_of
 from identknee.checks.table_checks import (
     IMPROBABLE,
@@ -26,6 +26,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances import Registration
+from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 from identknee.runs.findings import Finding, finding
@@ -400,6 +401,36 @@ class _PutRight:
         return (self.before - square) / (self.before - noise) if self.before > square else 0.0
 
 
+# Residuals and derivatives at so many places are kept of each table.
+MOST_REMEMBERED = 4
+
+
+class _Remembered:
+    """A problem that knows the last few places at which it was asked."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._known: dict[tuple[str, bytes], Array] = {}
+
+    @property
+    def parameters(self) -> Parameters:
+        return self._problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        return self._asked("residuals", self._problem.residuals, theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        return self._asked("jacobian", self._problem.jacobian, theta)
+
+    def _asked(self, what: str, asked: Callable[[Array], Array], theta: Array) -> Array:
+        place = what, theta.tobytes()
+        if place not in self._known:
+            if len(self._known) == MOST_REMEMBERED:
+                del self._known[next(iter(self._known))]
+            self._known[place] = asked(theta)
+        return self._known[place]
+
+
 class _Table:
     """A table beside a model: what is left of it, in mm and deg and in units of its noise.
 
@@ -416,6 +447,7 @@ class _Table:
             laxity = replace(laxity, sd=None)
         self.laxity = laxity
         self.residuals = held_everywhere(LaxityResiduals(model=model, laxity=laxity))
+        self._remembered = _Remembered(self.residuals)
         self.measured = laxity.is_measured
         self.n_asked = int(self.residuals.parameters.is_of_interest.sum())
 
@@ -425,7 +457,7 @@ class _Table:
 
     def left(self, theta: Array) -> tuple[Array, Array]:
         """Measured less predicted (n, 5), NaN where not measured, and what is lacking (n,)."""
-        rows = self.residuals.residuals(theta)
+        rows = self._remembered.residuals(theta)
         found = np.full(self.measured.shape, np.nan)
         m = int(self.measured.sum())
         found[self.measured] = -rows[:m]
@@ -503,8 +535,11 @@ class _Table:
 
     def problem(self, noise: _Noise) -> WhitenedResiduals:
         """The residuals in units of the noise."""
-        sd = np.r_[noise.sd[self.measured], np.full(self.laxity.n, np.nanmin(noise.sd))]
-        return WhitenedResiduals(problem=self.residuals, sd=sd)
+        return WhitenedResiduals(problem=self.residuals, sd=self._sd(noise))
+
+    def _sd(self, noise: _Noise) -> Array:
+        rows = noise.sd[self.measured], np.full(self.laxity.n, np.nanmin(noise.sd))
+        return np.concatenate(rows)
 
     def searched(self, start: Array) -> Array:
         """The same where trials may have no equilibrium at the start."""
@@ -533,7 +568,8 @@ class _Table:
 
         Trials without equilibrium there count as the others do; infinite if most have none.
         """
-        problem = ProblemWithPriors(problem=self.problem(noise))
+        whitened = WhitenedResiduals(problem=self._remembered, sd=self._sd(noise))
+        problem = ProblemWithPriors(problem=whitened)
         parameters = problem.parameters
         rows = problem.residuals(start)
         if not np.isfinite(rows).all():

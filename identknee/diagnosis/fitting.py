@@ -324,6 +324,7 @@ def best_fit_from(
     *,
     most_steps: int = MOST_STEPS,
     ends: Sequence[Evaluation] = (),
+    known: Sequence[Evaluation] = (),
 ) -> FittedModel:
     """The lowest of several fits.
 
@@ -338,28 +339,36 @@ def best_fit_from(
     ends
         Where fits ended before: one that joins them, or a minimum of those from the starts before,
         is not continued.
+    known
+        Evaluations of the same problem where fits begin.
     """
-    problem, known, found = whitened_problem(model, laxity, noise), [*ends], list[ConstrainedFit]()
-    for start in starts:
-        found.append(descended(problem, start, known, most_steps))
+    problem, tried, found = whitened_problem(model, laxity, noise), [*ends], list[ConstrainedFit]()
+    for i, start in enumerate(starts):
+        if any(np.array_equal(start, x) for x in starts[:i]):
+            continue
+        found.append(descended(problem, start, tried, most_steps, known))
         if found[-1].outcome is Outcome.MINIMUM:
-            known.append(found[-1].evaluation)
+            tried.append(found[-1].evaluation)
     best = min(found, key=lambda x: x.evaluation.deviance)
     return FittedModel(model=model, laxity=laxity, noise=noise, constrained=best)
 
 
 def descended(
-    problem: ProblemWithPriors, start: Array, ends: Sequence[Evaluation], most_steps: int
+    problem: ProblemWithPriors,
+    start: Array,
+    ends: Sequence[Evaluation],
+    most_steps: int,
+    known: Sequence[Evaluation] = (),
 ) -> ConstrainedFit:
     """The fit from one start: Gauss-Newton steps, then steps with learned curvature."""
-    evaluator = Evaluator(problem, ends=ends)
+    evaluator = Evaluator(problem, ends=ends, known=known)
     first = minimise(
         evaluator, start, tolerance=TOLERANCE, most_steps=min(STRAIGHT_STEPS, most_steps)
     )
     left = most_steps - STRAIGHT_STEPS
     if left <= 0 or first.outcome is not Outcome.VALLEY or first.n_simulations <= STRAIGHT_STEPS:
         return first
-    evaluator = Evaluator(problem, ends=ends, learns_curvature=True)
+    evaluator = Evaluator(problem, ends=ends, known=[first.evaluation], learns_curvature=True)
     then = minimise(evaluator, first.evaluation.theta, tolerance=TOLERANCE, most_steps=left)
     return replace(then, n_simulations=first.n_simulations + then.n_simulations)
 
@@ -737,6 +746,7 @@ def refit(
     *,
     most_steps: int = MOST_STEPS,
     beside: Sequence[Refit] = (),
+    known: Sequence[Refit] = (),
 ) -> Refit:
     """The base model with these causes, fitted from `starts`, each of all its parameters.
 
@@ -752,6 +762,8 @@ def refit(
         Steps of each fit at most.
     beside
         Refits with the same causes: one that joins them is not continued.
+    known
+        Refits with the same causes, from whose ends fits begin.
     """
     model = base.fitted.model
     extended = model.with_effects([*model.effects, *causes])
@@ -762,6 +774,7 @@ def refit(
         starts,
         most_steps=most_steps,
         ends=[x.fitted.evaluation for x in beside],
+        known=[x.fitted.evaluation for x in known],
     )
     return Refit(
         causes=tuple(causes),

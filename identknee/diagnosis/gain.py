@@ -360,12 +360,16 @@ def held_out(
     )
 
 
+# Evaluations that are looked up: a search may end a few before its last.
+REMEMBERED = 6
+
+
 class _MemoisedProblem:
-    """A problem that caches its first and last evaluation."""
+    """A problem that caches its first and last few evaluations."""
 
     def __init__(self, problem: Problem, first: Evaluation) -> None:
         self._problem = problem
-        self._known = [first, first]
+        self._first, self._last = first, list[Evaluation]()
         self.n_simulations = 1
 
     @property
@@ -374,12 +378,12 @@ class _MemoisedProblem:
         return self._problem.parameters
 
     def __call__(self, theta: Array) -> Evaluation:
-        for known in self._known:
+        for known in (self._first, *self._last):
             if np.array_equal(known.theta, theta):
                 return known
         self.n_simulations += 1
-        self._known[1] = evaluate(self._problem, theta)
-        return self._known[1]
+        self._last = [evaluate(self._problem, theta), *self._last[: REMEMBERED - 1]]
+        return self._last[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

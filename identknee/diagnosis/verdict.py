@@ -356,7 +356,7 @@ class _Task:
         """A refit taken to its end, by way of low loads where it is stuck."""
         starts = self.starts[1:]
         if is_flexible(self.causes[-1]):
-            found = refit(base, self.causes, [begun.fitted.theta, *starts])
+            found = refit(base, self.causes, [begun.fitted.theta, *starts], known=[begun])
         else:
             # Few amplitudes have few minima: what is ahead after a few steps ends lowest.
             tried = [begun]
@@ -364,7 +364,7 @@ class _Task:
                 tried.append(refit(base, self.causes, [x], most_steps=FEW_STEPS, beside=tried))
             found = min(tried, key=lambda x: x.fitted.deviance)
             if found.fitted.outcome is not Outcome.MINIMUM:
-                found = refit(base, self.causes, [found.fitted.theta])
+                found = refit(base, self.causes, [found.fitted.theta], known=[found])
         if found.fitted.outcome is Outcome.MINIMUM:
             return found
         return max(
@@ -387,7 +387,7 @@ class _Task:
         n_base, n = base.n_base, len(self.starts[0]) - len(self.values)
         others = self.starts[1][n_base:n]
         tried = [
-            refit(base, self.causes, [found.fitted.theta])
+            refit(base, self.causes, [found.fitted.theta], known=[found])
             if is_finished
             else self.finished(base, found)
         ]

@@ -106,7 +106,6 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
 
     The distance field is read from the cache on disk where it was built before.
     """
-    femoral = knee.femur_frame.to_local(knee.femur.vertices)
     flexion, start = start_pose(
         knee.femur_frame.axes @ knee.tibia_frame.axes.T,
         knee.femur_frame.to_local(knee.tibia_frame.origin[None])[0],
@@ -120,10 +119,10 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
         # As the mechanics measure it, which round the touch of a line.
         lines = replace(lines, reference_length=line_lengths(lines, flexion, start))
     return ContactGeometry(
-        field=_field(knee, femoral),
+        field=_field(knee),
         contact=contact,
         lines=lines,
-        femoral_rim=rim_distance(femoral, knee.femur.faces),
+        femoral_rim=_femoral_rim(knee.femur, knee.femur_frame),
         tibial_rims=tibial_rims,
         start_flexion=flexion,
         start=frozen(start, 5, name="start"),
@@ -189,8 +188,7 @@ def meniscus_geometry(knee: Knee, number: int | None = MENISCUS_POINTS) -> Menis
         plateau that has no rim, or no gap near it.
     """
     joint = contact_geometry(knee)
-    femoral = knee.femur_frame.to_local(knee.femur.vertices)
-    field = _field(knee, femoral, spacing=WIDE_SPACING, padding=WIDE_PADDING)
+    field = _field(knee, spacing=WIDE_SPACING, padding=WIDE_PADDING)
     scanned = place(joint.start_flexion, joint.start)
     below, sides = [], []
     sheets = zip(contact_sheets(knee)[1], joint.tibial_rims, (1.0, -1.0), strict=True)
@@ -219,25 +217,47 @@ def meniscus_geometry(knee: Knee, number: int | None = MENISCUS_POINTS) -> Menis
     )
 
 
-def _field(
-    knee: Knee, femoral: Array, *, spacing: float = SPACING, padding: int = PADDING
-) -> DistanceField:
+@lru_cache(maxsize=4)
+def _femoral_rim(femur: Surface, frame: Frame) -> RimDistance:
+    """How far places on the femur are from its rim."""
+    return rim_distance(frame.to_local(femur.vertices), femur.faces)
+
+
+def _field(knee: Knee, *, spacing: float = SPACING, padding: int = PADDING) -> DistanceField:
     """The distance field of the femur, from the cache or built and put there."""
+    if knee.femur_distance is None:
+        return _field_of_mesh(knee.femur, knee.femur_frame, spacing, padding)
+    return _field_of(knee.femur, knee.femur_frame, knee.femur_distance, spacing, padding)
+
+
+# Knees of one geometry differ in much else.
+@lru_cache(maxsize=4)
+def _field_of_mesh(femur: Surface, frame: Frame, spacing: float, padding: int) -> DistanceField:
+    return _field_of(femur, frame, None, spacing, padding)
+
+
+def _field_of(
+    femur: Surface,
+    frame: Frame,
+    closed_form: Callable[[Array], Array] | None,
+    spacing: float,
+    padding: int,
+) -> DistanceField:
+    femoral = frame.to_local(femur.vertices)
     distance: Callable[[Array], Array] | None = None
     digest = hashlib.sha256(FIELD_FORMAT + repr(spacing).encode())
     if padding != PADDING:
         digest.update(repr(padding).encode())
     digest.update(femoral.tobytes())
-    if knee.femur_distance is not None:
-        closed_form = knee.femur_distance
+    if closed_form is not None:
 
         def distance(points: Array) -> Array:
-            return closed_form(knee.femur_frame.to_common(points))
+            return closed_form(frame.to_common(points))
 
         # A formula has no bytes: what it gives off the surface stands for it.
         digest.update(distance(femoral[::7] * 1.02).tobytes())
     else:
-        digest.update(knee.femur.faces.tobytes())
+        digest.update(femur.faces.tobytes())
     path = cache_folder() / "fields" / f"{digest.hexdigest()[:24]}.npz"
     arrays = ("coefficients", "reach", "near", "origin", "spacing")
     # There is none, or it is damaged.
@@ -247,7 +267,7 @@ def _field(
         return DistanceField(**{**values, "spacing": float(values["spacing"])})
     if distance is None:
         with stage("sorting the femoral surface"):
-            distance = distance_to_femur(knee.femur, knee.femur_frame)
+            distance = distance_to_femur(femur, frame)
     lower, upper = femoral.min(axis=0), femoral.max(axis=0)
     field = build_field(distance, lower, upper, spacing=spacing, padding=padding)
     stored = io.BytesIO()

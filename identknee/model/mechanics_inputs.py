@@ -252,8 +252,23 @@ def with_replicas(
 
 def repeated(setting: MechanicsInputs, n: int) -> MechanicsInputs:
     """A batch of `n` replicas of the inputs."""
-    both = with_replicas(setting, (n - 1) * [setting], lines=True, nodes=True)
-    return replace(both, copy=np.repeat(np.arange(n), setting.stiffness.size))
+
+    def tiled(values: Any) -> Any:
+        return np.tile(values, (n, *(1 for _ in values.shape[1:])))
+
+    lines = setting.lines
+    return replace(
+        setting,
+        flexion=tiled(setting.flexion),
+        loads=tiled(setting.loads),
+        measured=None if setting.measured is None else tiled(setting.measured),
+        lines=LineLigaments(**{x.name: tiled(getattr(lines, x.name)) for x in fields(lines)}),
+        stiffness=tiled(setting.stiffness),
+        reference_strain=tiled(setting.reference_strain),
+        owner=tiled(setting.owner),
+        share=tiled(setting.share),
+        copy=np.repeat(np.arange(n), setting.stiffness.size),
+    )
 
 
 # Trials within so many degrees of flexion of each other have one pose between them.

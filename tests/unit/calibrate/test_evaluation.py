@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, linear, sloppy_springs
@@ -27,6 +29,23 @@ def test_residuals_and_jacobian_are_one_simulation(springs: ClosedForm) -> None:
     assert evaluator.n_simulations == 1
     evaluator(springs.minimum)
     assert evaluator.n_simulations == 2
+
+
+def test_an_evaluation_made_before_counts_and_costs_nothing(springs: ClosedForm) -> None:
+    asked: list[Array] = []
+
+    def residuals(theta: Array) -> Array:
+        asked.append(theta)
+        return springs.residuals_at(theta)
+
+    before = evaluate(springs, springs.minimum)
+    evaluator = Evaluator(replace(springs, residuals_at=residuals), known=[before])
+    assert evaluator(np.array(springs.minimum)) is before
+    assert evaluator.n_simulations == 1
+    assert not asked
+    assert evaluator.best_deviance == before.deviance
+    evaluator(springs.start)
+    assert len(asked) == 1
 
 
 def test_the_gradient_of_the_deviance_is_exact(springs: ClosedForm) -> None:

@@ -1,10 +1,14 @@
 """Fits of a laxity model that a diagnosis rests on."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from small_knee import small_protocol
 
-from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from
+from identknee.calibrate.bounded_least_squares import ConstrainedFit
+from identknee.diagnosis import fitting
+from identknee.diagnosis.fitting import FittedModel, _descended, base_model, best_fit_from
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
@@ -46,3 +50,26 @@ def test_a_fit_that_joins_another_is_not_continued(fitted: FittedModel) -> None:
     again = best_fit_from(fitted.model, fitted.laxity, fitted.noise, [start], ends=ends)
     assert again.deviance > fitted.deviance
     assert again.constrained.n_simulations < fitted.constrained.n_simulations
+
+
+def test_a_start_given_twice_is_fitted_once(
+    fitted: FittedModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[Array] = []
+
+    def counted(problem: Any, start: Array, *how: Any) -> ConstrainedFit:
+        begun.append(start)
+        return _descended(problem, start, *how)
+
+    monkeypatch.setattr(fitting, "_descended", counted)
+    start = _beside(fitted.model.parameters.center)
+    starts = [start, fitted.theta, np.array(start)]
+    best_fit_from(fitted.model, fitted.laxity, fitted.noise, starts, most_steps=1)
+    assert len(begun) == 2
+
+
+def test_a_fit_from_where_another_ended_begins_with_its_evaluation(fitted: FittedModel) -> None:
+    model, known = fitted.model, fitted.evaluation
+    again = best_fit_from(model, fitted.laxity, fitted.noise, [known.theta], known=[known])
+    assert again.evaluation is known
+    assert again.constrained.n_simulations == 1
