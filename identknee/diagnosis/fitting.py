@@ -9,11 +9,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
+from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     TABLE_TERM,
     Evaluation,
     Evaluator,
     EvidenceTerm,
+    Problem,
     ProblemWithPriors,
     SumOfTerms,
     evidence_terms,
@@ -44,6 +46,7 @@ from identknee.identify.optimum import (
     nuisance_estimates,
     nuisance_groups,
     sobol_around,
+    with_hops,
 )
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
@@ -481,9 +484,21 @@ def lowest_fit(base: BaseFit, seed: int) -> BaseFit:
     """
     found = base
     if without_causes(base).misfit_p_value < REJECTED:
-        found = past_lost_trials(base, seed)
+        problem = _problem_past_lost_trials(base)
+        if problem is not None:
+            ends = best_fits(problem, start=base.fitted.theta, seed=seed, budget=BRIEF, hops=False)
+            found = _polished(base, ends)
+            # What a torn ligament explains by itself needs no further search.
+            freed = without_idle_priors(found)
+            if freed is not found and _is_explained(freed):
+                return past_lost_trials(freed, seed)
+            found = _polished(base, with_hops(problem, ends, seed=seed, budget=BRIEF))
     freed = without_idle_priors(found)
     return found if freed is found else past_lost_trials(freed, seed)
+
+
+def _is_explained(base: BaseFit) -> bool:
+    return without_causes(base).misfit_p_value > EXPLAINED
 
 
 def without_idle_priors(base: BaseFit) -> BaseFit:
@@ -553,18 +568,34 @@ def past_lost_trials(base: BaseFit, seed: int) -> BaseFit:
     seed
         Seed of the points where searches begin.
     """
-    fitted = base.fitted
-    model = fitted.model
-    if fitted.outcome is Outcome.MINIMUM or fitted.laxity.zero != "absolute":
+    problem = _problem_past_lost_trials(base)
+    if problem is None:
         return base
+    start = base.fitted.theta
+    if _is_explained(base):
+        # Where noise explains what is left, the minimum is near.
+        found = _polished(base, [fit(problem, start, seed=seed)])
+        if found.fitted.outcome is Outcome.MINIMUM:
+            return found
+    return _polished(base, best_fits(problem, start=start, seed=seed, budget=BRIEF))
+
+
+def _problem_past_lost_trials(base: BaseFit) -> Problem | None:
+    """That of a fit, defined where trials are lost, too; None where the fit is at its minimum."""
+    fitted = base.fitted
+    if fitted.outcome is Outcome.MINIMUM or fitted.laxity.zero != "absolute":
+        return None
     known = replace(
         fitted.laxity, sd=base.noise.sd, within_trial_correlation=base.noise.correlation
     )
-    compared = LaxityResiduals(model=model, laxity=known, weighting="noise")
-    everywhere = with_all_priors(defined_everywhere(compared))
-    ends = best_fits(everywhere, start=fitted.theta, seed=seed, budget=BRIEF)
-    starts = [x.theta for x in ends[:N_POLISHED]]
-    found = best_fit_from(model, fitted.laxity, fitted.noise, starts)
+    compared = LaxityResiduals(model=fitted.model, laxity=known, weighting="noise")
+    return with_all_priors(defined_everywhere(compared))
+
+
+def _polished(base: BaseFit, ends: Sequence[Fit]) -> BaseFit:
+    """The lowest of the first ends, without lost trials, where it is lower than the fit."""
+    fitted, starts = base.fitted, [x.theta for x in ends[:N_POLISHED]]
+    found = best_fit_from(fitted.model, fitted.laxity, fitted.noise, starts)
     return BaseFit(fitted=found, noise=base.noise) if found.deviance < fitted.deviance else base
 
 

@@ -67,11 +67,13 @@ def best_fits(
     executor: Executor = serial,
     budget: int | None = None,
     points: Array | None = None,
+    hops: bool = True,
 ) -> tuple[Fit, ...]:
     """The seventeen fits that `best_fit` is the lowest of, from low to high; as there.
 
     With a budget each has so many simulations, and only the lowest few go on to their ends. Others
     begin at `points` in place of those around the start, shape ``(k, n)``, where these are given.
+    Without `hops` those that follow brief searches are left to `with_hops`.
     """
     parameters = problem.parameters
     first = parameters.start if start is None else np.asarray(start, dtype=np.float64)
@@ -79,7 +81,7 @@ def best_fits(
     begun = fit(problem, first, seed=seed, budget=budget)
     if points is None:
         points = sobol_around(parameters, first, N_STARTS, reach=REACH, seed=seed)
-    fits = with_fits_from(problem, begun, points, executor=executor, budget=budget)
+    fits = with_fits_from(problem, begun, points, executor=executor, budget=budget, hops=hops)
     if not np.isfinite(fits[0].objective):
         raise ValueError(
             f"the model has no prediction at any of {N_STARTS + 1} starts; "
@@ -95,14 +97,13 @@ def with_fits_from(
     *,
     executor: Executor = serial,
     budget: int | None = None,
+    hops: bool = True,
 ) -> tuple[Fit, ...]:
     """A fit and those from other points, from low to high.
 
-    With a budget the searches are brief, and hops follow: searches from points near the lowest end,
-    which keep its nuisances, until two rounds of them find nothing lower [1]_, or half of all
-    searches have ended at the lowest. Where the lowest leaves many times what noise would, others
-    begin with one stiffness nearly gone: no search finds its way to a torn ligament from a whole
-    one.
+    With a budget the searches are brief, and hops follow, see `with_hops`. Where the lowest leaves
+    many times what noise would, others begin with one stiffness nearly gone: no search finds its
+    way to a torn ligament from a whole one.
 
     Parameters
     ----------
@@ -117,11 +118,8 @@ def with_fits_from(
     budget
         Simulations allowed for each; only the lowest few go on to their ends. All do if None, and
         none hops.
-
-    References
-    ----------
-    .. [1] D. J. Wales and J. P. K. Doye, Global optimization by basin-hopping, J. Phys. Chem. A 101
-           (1997) 5111-5116, doi:10.1021/jp970984n.
+    hops
+        Whether hops follow brief searches.
     """
     seed, held = first.seed, [problem.parameters.index(x) for x in first.fixed]
     points = np.clip(points, problem.parameters.lower, problem.parameters.upper)
@@ -139,20 +137,46 @@ def with_fits_from(
         fits = sorted([*fits, *found], key=lambda one: one.objective)
     if budget is None:
         return tuple(fits)
-    fits, idle = _finished(problem, fits, N_FINISHED, how, executor), 0
+    fits = _finished(problem, fits, N_FINISHED, how, executor)
+    if not hops:
+        return tuple(fits)
+    return with_hops(problem, fits, seed=seed, executor=executor, budget=budget)
+
+
+def with_hops(
+    problem: Problem,
+    fits: Sequence[Fit],
+    *,
+    seed: int = 0,
+    executor: Executor = serial,
+    budget: int | None = None,
+) -> tuple[Fit, ...]:
+    """Fits and hops from the lowest of them, from low to high.
+
+    Hops are searches from points near the lowest end, which keep its nuisances. They go on until
+    two rounds of them find nothing lower [1]_, or half of all fits have ended at the lowest.
+
+    References
+    ----------
+    .. [1] D. J. Wales and J. P. K. Doye, Global optimization by basin-hopping, J. Phys. Chem. A 101
+           (1997) 5111-5116, doi:10.1021/jp970984n.
+    """
+    how: FitSettings = {"fixed": fits[0].fixed, "priors": fits[0].priors}
+    brief: FitSettings = {"budget": budget, **how}
+    held, known, idle = [problem.parameters.index(x) for x in fits[0].fixed], list(fits), 0
     for k, reach in enumerate(REACH_OF_HOPS):
-        lowest = fits[0]
-        if 2 * sum(x.deviance < lowest.deviance + A_GAIN for x in fits) > len(fits):
+        lowest = known[0]
+        if 2 * sum(x.deviance < lowest.deviance + A_GAIN for x in known) > len(known):
             break
         near = sobol_around(problem.parameters, lowest.theta, N_HOPS, reach=reach, seed=seed + k)
         near[:, held] = lowest.theta[held]
         found = fit_many(problem, near, seed=seed + k, executor=executor, **brief)
-        fits = sorted([*fits, *found], key=lambda one: one.objective)
-        fits = _finished(problem, fits, 1, how, executor)
-        idle = 0 if fits[0].deviance < lowest.deviance - A_GAIN else idle + 1
+        known = sorted([*known, *found], key=lambda one: one.objective)
+        known = _finished(problem, known, 1, how, executor)
+        idle = 0 if known[0].deviance < lowest.deviance - A_GAIN else idle + 1
         if idle == MOST_IDLE:
             break
-    return tuple(fits)
+    return tuple(known)
 
 
 def nearly_gone(parameters: Parameters, start: Array, held: Sequence[int] = ()) -> Array:

@@ -13,6 +13,7 @@ from identknee.identify.optimum import (
     best_fits,
     sobol_around,
     with_fits_from,
+    with_hops,
 )
 from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
@@ -55,6 +56,15 @@ def test_of_brief_fits_only_the_lowest_goes_on_to_its_end() -> None:
     stopped = [x for x in others if x.outcome is Outcome.BUDGET]
     assert len(stopped) > 16 - N_FINISHED
     assert {x.n_simulations for x in stopped} == {4}
+
+
+def test_hops_can_follow_later() -> None:
+    problem = two_valleys()
+    at_once = best_fits(problem, budget=4)
+    before = best_fits(problem, budget=4, hops=False)
+    assert len(before) < len(at_once)
+    later = with_hops(problem, before, budget=4)
+    assert [x.theta.tolist() for x in later] == [x.theta.tolist() for x in at_once]
 
 
 def test_hops_reach_a_lower_valley_beside_the_lowest_end() -> None:
