@@ -1,13 +1,17 @@
 """A base fit that stopped beside a better minimum is found out by the explanations."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnoses import SD, short_trials
 
+from identknee.calibrate.fit import Fit
+from identknee.diagnosis import fitting
 from identknee.diagnosis.fitting import best_fit_from, fit_base, past_lost_trials
 from identknee.diagnosis.investigation import LOWER, better_start, investigate
+from identknee.identify.optimum import best_fits
 from identknee.laxity.table import add_noise
 from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
@@ -45,3 +49,30 @@ def test_a_search_through_lost_trials_finds_the_lower_fit(reference: Knee) -> No
     assert stuck.deviance > lowest.deviance + LOWER
     found = past_lost_trials(replace(base, fitted=stuck), 0).fitted
     assert found.deviance == pytest.approx(lowest.deviance, abs=0.1)
+
+
+def test_where_noise_explains_what_is_left_one_search_is_enough(
+    reference: Knee, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = LaxityModel(knee=reference, protocol=short_trials())
+    laxity = add_noise(model.simulate(model.parameters.center), sd_mm=SD, sd_deg=SD, seed=2)
+    base = fit_base(reference, laxity, starts=[], seed=0)
+    assert base is not None
+    lowest = base.fitted
+    stuck = best_fit_from(lowest.model, laxity, lowest.noise, [lowest.theta + 0.02], most_steps=1)
+    assert stuck.outcome is not Outcome.MINIMUM
+    searched: list[int] = []
+
+    def many(*how: Any, seed: int, **more: Any) -> tuple[Fit, ...]:
+        searched.append(seed)
+        return best_fits(*how, seed=seed, **more)
+
+    monkeypatch.setattr(fitting, "best_fits", many)
+    found = past_lost_trials(replace(base, fitted=stuck), 0).fitted
+    assert found.outcome is Outcome.MINIMUM
+    assert found.deviance == pytest.approx(lowest.deviance, abs=0.01)
+    assert not searched
+    # What noise does not explain is searched for from many starts.
+    monkeypatch.setattr(fitting, "EXPLAINED", 1.0)
+    past_lost_trials(replace(base, fitted=stuck), 3)
+    assert searched == [3]
