@@ -85,11 +85,6 @@ class Placement:
         """Femoral `points` (k, 3) [mm] in tibial axes."""
         return np.asarray((points - self.translation[..., None, :]) @ self.rotation)
 
-    def each_to_femur(self, points: Array, pose: IntArray) -> Array:
-        """Tibial points (k, 3) in femoral axes, each displaced as its pose (k,) is, ``(k, 3)``."""
-        turned = np.einsum("kij,kj->ki", self.rotation[pose], points)
-        return np.asarray(turned + self.translation[pose])
-
     def jacobian(self, points: Array, pose: IntArray | None = None) -> Array:
         """Derivatives of the femoral position of tibial `points` (k, 3), shape ``(k, 5, 3)``.
 
