@@ -50,7 +50,7 @@ def test_named_subjects_raise_no_alarm() -> None:
 def test_the_femur_is_sorted_once_for_contact_and_check(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("IDENTKNEE_CACHE", str(tmp_path))
+    monkeypatch.setattr("identknee.model.laxity_model.cache_folder", lambda: tmp_path)
     built: list[int] = []
 
     def counted(vertices: Array, faces: IntArray) -> Callable[[Array], Array]:
