@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from identknee.blind.experiment import EXPONENT, Experiment
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import EXACTLY, Frame, Knee, UncertainLike, with_stated_uncertainty
 
 # Most draws until one lies between the ends of a distribution.

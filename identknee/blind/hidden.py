@@ -18,7 +18,8 @@ from identknee.blind.experiment import (
     TOE_STRAIN,
     Experiment,
 )
-from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 # Distance of the epicondyles in the knee the offsets below were written down for [mm].

@@ -7,7 +7,8 @@ import numpy as np
 
 from identknee.blind.effects import UNLISTED
 from identknee.blind.truth import Truth
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 
 # A line found this near to the true one is the true one.
 NEAR_MM, NEAR_DEG = 10.0, 15.0

@@ -11,7 +11,8 @@ from scipy.sparse import csr_array
 
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity
-from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
 
 # Degree of the polynomial that is removed along a load curve; the residuals are the noise.
 CURVE_DEGREE = 4

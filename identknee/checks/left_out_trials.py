@@ -18,7 +18,8 @@ from identknee.checks.table_checks import (
     trial_findings,
 )
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.runs.declare import Array, BoolArray, declared, entry
+from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding, finding
 

@@ -14,7 +14,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.checks.usable_trials import residuals_of
 from identknee.laxity.table import Laxity
-from identknee.runs.declare import Array, IntArray
+from identknee.runs.arrays import Array, IntArray
 from identknee.runs.findings import Finding, finding
 
 # Terms that agree differ as far in this share of data sets.

@@ -10,7 +10,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
 
 from identknee.calibrate.problem import Evaluation
 from identknee.model.parameters import Parameters
-from identknee.runs.declare import Array, BoolArray, IntArray, frozen
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 
 # Bounds that cut off less of a component than this are none; for the intervals of the others.
 LEAST_CUT, LEAST_SHARED = 1e-6, 1e-4

@@ -29,7 +29,8 @@ from identknee.mechanics.memory import (
     record,
 )
 from identknee.mechanics.menisci import NO_MENISCI, Menisci
-from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
+from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
+from identknee.runs.declare import array, declared, entry
 
 Continuation = Literal["continuation", "single-step"]
 FLEXION_STEP = np.radians(10.0)

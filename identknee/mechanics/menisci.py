@@ -11,7 +11,8 @@ import numpy as np
 
 from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw, DistanceField
 from identknee.mechanics.memory import GRID, MeniscusArrays, read_only, record
-from identknee.runs.declare import Array, IntArray, array, declared, entry
+from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import array, declared, entry
 
 
 @declared

@@ -18,7 +18,8 @@ from identknee.model.laxity_model import (
 from identknee.model.mechanics_inputs import holding_poses
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import HeldTrials, LaxityResiduals
-from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import array, declared, entry
 
 # Of the differences that give the stiffness at a measured pose [rad, mm].
 STEPS = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4])

@@ -31,7 +31,8 @@ from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import BONES, Knee
 from identknee.subject.surface import Surface

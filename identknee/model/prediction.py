@@ -15,7 +15,8 @@ from identknee.mechanics.equilibria import (
     stability_margins,
 )
 from identknee.mechanics.memory import CONVERGED, Equilibria
-from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry, short_repr
+from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
+from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
 # A trial with more of its contact force near a rim than this is worth a word to the user.

@@ -40,7 +40,7 @@ from identknee.report.figures import (
 )
 from identknee.report.laxity_figures import LaxityCurves, by_load_figure
 from identknee.report.scene import View
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 from identknee.runs.words import coordinate_words, label, listed
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (

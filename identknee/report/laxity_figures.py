@@ -25,7 +25,8 @@ from identknee.report.figures import (
     panel_grid,
     wrapped,
 )
-from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry, frozen
+from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import declared, entry
 from identknee.runs.words import label, unit_of
 
 # The coordinate that moves along each load.

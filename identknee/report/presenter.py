@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from identknee.laxity.protocol import Protocol
 from identknee.report.tables import Table
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee

@@ -9,15 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.declare import (
-    CHECK_UNITS,
-    Array,
-    declared,
-    entry,
-    frozen,
-    implausible_coordinates,
-    short_repr,
-)
+from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
 from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits

@@ -10,7 +10,7 @@ from identknee.model.effects.insertion import AXES, BONES
 from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameter_groups import tied
 from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 from identknee.subject.knee import EffectChoice, Knee, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import knee_digest

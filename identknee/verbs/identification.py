@@ -68,7 +68,8 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity

@@ -18,7 +18,7 @@ from identknee.laxity.protocol import Protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 from identknee.subject.knee import Knee, Uncertainty
 from identknee.verbs.identification import Identification, identification
 

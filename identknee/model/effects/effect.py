@@ -26,7 +26,8 @@ from identknee.model.mechanics_inputs import (
     with_replicas,
 )
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
+from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import declared, entry
 
 
 class Effect(Protocol):

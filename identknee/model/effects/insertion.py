@@ -13,7 +13,8 @@ from identknee.model.effects.effect import (
     with_remeasured_lengths,
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.runs.declare import Array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
 SHIFT_SD, SHIFT_LIMIT = 2.0, 8.0  # mm

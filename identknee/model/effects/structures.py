@@ -11,7 +11,8 @@ from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradie
 from identknee.model.effects.effect import amplitudes
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
-from identknee.runs.declare import Array, array, declared, entry
+from identknee.runs.arrays import Array
+from identknee.runs.declare import array, declared, entry
 from identknee.subject.knee import Knee, Points
 
 SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them

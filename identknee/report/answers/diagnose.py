@@ -32,7 +32,7 @@ from identknee.report.presenter import (
     open_ends_text,
 )
 from identknee.report.tables import Table, table
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.words import (
     amount,

@@ -21,7 +21,7 @@ from identknee.checks.table_checks import (
     suspicious_rows,
 )
 from identknee.diagnosis.investigation import investigate
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 
 pytestmark = pytest.mark.usefixtures("few_starts")
 

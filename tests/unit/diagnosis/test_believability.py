@@ -76,9 +76,11 @@ def test_the_true_cause_pays_no_price_and_has_the_highest_evidence(
     base, first = weighed[:2]
     assert base.names == ()
     assert first.names == (CAPSULE,)
+    assert base.price is not None
+    assert first.price is not None
+    assert first.log_data_difference is not None
     assert base.price > 5.0
     assert first.price < 0.5
-    assert first.log_data_difference is not None
     assert first.log_data_difference > 20.0
 
 
@@ -86,6 +88,8 @@ def test_prices_are_no_gains_and_hold_what_is_beyond_limits(
     weighed: tuple[CauseUnderLimits, ...],
 ) -> None:
     for x in weighed:
+        assert x.price is not None
+        assert x.of_limits is not None
         # All of the price is what data and priors pay and what is beyond the limits.
         assert x.price >= x.of_limits - 1e-3
         assert x.of_limits == pytest.approx(sum(y.deviance for y in x.limits), abs=1e-6)

@@ -8,9 +8,9 @@ from small_knee import small_protocol
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit
 from identknee.diagnosis import fitting
-from identknee.diagnosis.fitting import FittedModel, _descended, base_model, best_fit_from
+from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from, descended
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 
@@ -59,9 +59,9 @@ def test_a_start_given_twice_is_fitted_once(
 
     def counted(problem: Any, start: Array, *how: Any) -> ConstrainedFit:
         begun.append(start)
-        return _descended(problem, start, *how)
+        return descended(problem, start, *how)
 
-    monkeypatch.setattr(fitting, "_descended", counted)
+    monkeypatch.setattr(fitting, "descended", counted)
     start = _beside(fitted.model.parameters.center)
     starts = [start, fitted.theta, np.array(start)]
     best_fit_from(fitted.model, fitted.laxity, fitted.noise, starts, most_steps=1)

@@ -19,7 +19,7 @@ from identknee.diagnosis.misfit import (
     omnibus_check,
     smooth_patterns,
 )
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 
 N_NULLS = 400
 LEVEL = 0.05

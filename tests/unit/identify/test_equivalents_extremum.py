@@ -14,7 +14,7 @@ from identknee.identify.region import (
     farthest_pair,
     noise_region,
 )
-from identknee.runs.declare import Array
+from identknee.runs.arrays import Array
 
 VALUE = 1e-6
 
