@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.laxity.forces import WRENCH
+from identknee.laxity.superposition import WRENCH
 from identknee.laxity.table import COORDINATES
 from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths

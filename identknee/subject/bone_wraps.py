@@ -9,7 +9,8 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament, Obstacle, circle_through, way_over
+from identknee.subject.ligament import Ligament
+from identknee.subject.obstacle import Obstacle, circle_through, way_over
 from identknee.subject.surface import Surface
 
 # Near its insertions a ligament lies on the bone [mm].

@@ -40,8 +40,9 @@ from identknee.subject.knee import (
     Uncertainty,
     frames_from_landmarks,
 )
-from identknee.subject.ligament import Ligament, LigamentGroup, Obstacle
+from identknee.subject.ligament import Ligament, LigamentGroup
 from identknee.subject.menisci import STIFFNESS, with_menisci
+from identknee.subject.obstacle import Obstacle
 from identknee.subject.plausibility import KEY, LIMIT_EXAMPLES, LIMITS, Limit, LimitTable
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, read_surface, surface_of, write_surface
