@@ -37,9 +37,10 @@ from identknee.runs.words import (
     parameter_words,
     unit_of,
 )
-from identknee.verbs.answer import Answer, Question
+from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
+from identknee.verbs.question import Question
 from identknee.verbs.sweep import Sweep
 
 # Ends as near as this share of a set's width are the same for every purpose.

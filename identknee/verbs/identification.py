@@ -63,11 +63,12 @@ from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.discrepancy import SmoothDiscrepancy, smooth_discrepancy
 from identknee.model.effects.effect import with_fixed_amplitudes
-from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals, weighed
+from identknee.model.force_residuals import ForceResiduals
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
+from identknee.model.superposition_residuals import SuperpositionResiduals, weighed
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable

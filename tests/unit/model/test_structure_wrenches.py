@@ -10,9 +10,9 @@ from bundled_knee import bundled_knee
 import identknee as ik
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.library import effect_named
-from identknee.model.force_residuals import StructureWrenches, structure_wrenches
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_values
+from identknee.model.superposition_residuals import StructureWrenches, structure_wrenches
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 
