@@ -1,4 +1,4 @@
-"""Residuals of forces measured in trials: as they are, and in situ by superposition."""
+"""Residuals of measured forces: of ligaments, groups and compartments, in units of their errors."""
 
 from dataclasses import dataclass, field
 

@@ -294,6 +294,10 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
     return figure
 
 
+# Panels of ligaments side by side.
+MOST_ACROSS = 5
+
+
 def forces_figure(
     trials: Sequence[str], ligaments: Sequence[str], quantiles: Array, *, truth: Array | None = None
 ) -> Figure:
@@ -312,9 +316,8 @@ def forces_figure(
         Known tension [N], shape ``(trials, ligaments)``.
     """
     n, rows = len(ligaments), np.arange(len(trials))
-    figure, panels = panel_rows(
-        n, (2.3, 0.28 * len(trials)), (1.6, 1.4), n, sharey=True, sharex=True
-    )
+    size = 2.3, 0.28 * len(trials) + 0.5
+    figure, panels = panel_rows(n, size, (1.6, 0.9), MOST_ACROSS, sharey=True, sharex=True)
     for j, axes in enumerate(panels):
         middle = quantiles[:, j, 2]
         low, first, _, third, high = (quantiles[:, j] - middle[:, None]).T
@@ -334,7 +337,9 @@ def forces_figure(
                 color=GREY,
             )
         axes.set_title(ligaments[j], fontsize=10)
-        axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
+        if j + MOST_ACROSS >= n:
+            axes.set_xlabel("tension minus median [N]", fontsize=SMALL)
+            axes.tick_params(labelbottom=True)
         bare(axes, grid="y", labelsize=SMALL)
     largest = float(np.max(np.abs(quantiles - quantiles[..., 2:3])))
     # Room for the medians on the right.

@@ -1,4 +1,4 @@
-"""What all answers have in common: what was asked, findings, assumptions and provenance.
+"""The fields common to all answers: findings, assumptions and provenance."""
 
 Two answers can be compared where they were asked the same; where not, `Question.differences` says
 in what.
