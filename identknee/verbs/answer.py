@@ -1,9 +1,5 @@
 """The fields common to all answers: findings, assumptions and provenance."""
 
-Two answers can be compared where they were asked the same; where not, `Question.differences` says
-in what.
-"""
-
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
