@@ -154,7 +154,7 @@ def with_hops(
     """Fits and hops from the lowest of them, from low to high.
 
     Hops are searches from points near the lowest end, which keep its nuisances. They go on until
-    two rounds of them find nothing lower [1]_, or half of all fits have ended at the lowest.
+    two rounds of them find nothing lower [1]_, or half of many fits have ended at the lowest.
 
     References
     ----------
@@ -166,7 +166,8 @@ def with_hops(
     held, known, idle = [problem.parameters.index(x) for x in fits[0].fixed], list(fits), 0
     for k, reach in enumerate(REACH_OF_HOPS):
         lowest = known[0]
-        if 2 * sum(x.deviance < lowest.deviance + A_GAIN for x in known) > len(known):
+        alike = sum(x.deviance < lowest.deviance + A_GAIN for x in known)
+        if len(known) >= N_STARTS and 2 * alike > len(known):
             break
         near = sobol_around(problem.parameters, lowest.theta, N_HOPS, reach=reach, seed=seed + k)
         near[:, held] = lowest.theta[held]

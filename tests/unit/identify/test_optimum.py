@@ -147,3 +147,12 @@ def test_starts_around_a_point_stay_within_the_bounds_however_wide_the_prior() -
     assert np.all((points >= parameters.lower) & (points <= parameters.upper))
     assert (points == parameters.lower).any(axis=0).all()
     assert (points == parameters.upper).any(axis=0).all()
+
+
+def test_no_hops_follow_where_half_of_many_fits_agree() -> None:
+    problem = sloppy_springs()
+    fits = best_fits(problem)
+    near = [x for x in fits if x.deviance < fits[0].deviance + 1e-3]
+    assert 2 * len(near) > len(fits)
+    assert with_hops(problem, fits, budget=50) == tuple(fits)
+    assert len(with_hops(problem, fits[:8], budget=50)) > 8
