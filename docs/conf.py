@@ -42,7 +42,7 @@ exclude_patterns = ["_build", "_parts", "paper", "tutorials", TIMES, f"**/{TIMES
 nitpicky = True
 # Other projects' names, which a build without a network cannot look up, and type variables.
 NAMES = "Item|Result|Made|Model|Group|Getter|Given|Found|Function"
-VARIABLES = rf"identknee\.(mechanics|report|runs|verbs)\.\w+\.({NAMES})"
+VARIABLES = rf"identknee\.(mechanics|model|report|runs|verbs)(\.\w+)+\.({NAMES})"
 # An object and no function: it has no page.
 SERIAL = r"identknee\.runs\.executors\.serial"
 nitpick_ignore_regex = [("py:.*", rf"(?!identknee).*|{VARIABLES}|{SERIAL}")]
