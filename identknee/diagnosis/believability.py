@@ -4,11 +4,11 @@ With limits L of plausibility beside the data D, the evidence of a model M is
 
     ``p(D, L | M) = p(L | M) p(D | L, M)``.
 
-The first factor asks whether a knee drawn from the priors of the model is plausible and bears every
-trial: a cause that raises it makes the knee believable. Only the second is evidence of the data.
+The first factor asks whether a knee drawn from the priors of the model is plausible: a cause that
+raises it makes the knee believable. Only the second is evidence of the data.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,14 +58,13 @@ PARTS = (1.0, 0.5, 0.25, 0.125, 0.0)
 # Knees drawn from the priors: a power of two.
 LOG_DRAWS = 9
 
-
 # Causes, and starts of their fits.
 Tried = tuple[tuple[Effect, ...], list[Array]]
 
 
 @declared
 class CauseUnderLimits:
-    """A model with limits of plausibility beside the data: the one without causes, or with one."""
+    """A model with limits of plausibility beside the data: the one without causes, or with some."""
 
     names: tuple[str, ...] = entry("Names of its causes; none of the model without")
     price: float | None = entry(
@@ -214,11 +213,6 @@ class _Weighing:
         ends = best_fits(everywhere, start=start, points=around, seed=self.seed, budget=BRIEF)
         return self._finished((), self.problem(()), [x.theta for x in ends[:N_FINISHED]], [start])
 
-    def deviance_with(self, cause: Effect) -> Callable[[Array], float]:
-        """The deviance of the model with a cause as a function of theta."""
-        problem = self.problem([cause])
-        return lambda theta: sum_of_squares(problem.residuals(theta))
-
     def weighed(
         self, causes: Sequence[Effect], starts: Sequence[Array], base: _Weighed
     ) -> _Weighed:
@@ -257,19 +251,20 @@ class _Weighing:
 
 def _tried(weighing: _Weighing, base: _Weighed, found: Investigation) -> list[Tried]:
     """Sets of causes to fit, and where to begin."""
-    promises: dict[str, tuple[float, Effect, list[Array]]] = {}
+    falls: dict[str, tuple[float, Effect, list[Array]]] = {}
     steps = found.attribution.steps[0]
     highest = {(x.name, x.variant) for x in steps.scores.candidates}
     for variant in steps.variants:
         name = variant.effect.name
         if (name, variant.signature.variant) in highest or variant is steps.typical(name):
             fall, ways = _expected(weighing, base, variant)
-            if fall > promises.get(name, (0.0,))[0]:
-                promises[name] = fall, variant.effect, ways
-    best = sorted(promises.values(), key=lambda x: -x[0])[:MOST_CAUSES]
-    tried: list[Tried] = [
-        ((effect,), [min(ways, key=weighing.deviance_with(effect))]) for _, effect, ways in best
-    ]
+            if fall > falls.get(name, (0.0,))[0]:
+                falls[name] = fall, variant.effect, ways
+    tried: list[Tried] = []
+    for _, effect, ways in sorted(falls.values(), key=lambda x: -x[0])[:MOST_CAUSES]:
+        problem = weighing.problem([effect])
+        deviances = [sum_of_squares(problem.residuals(x)) for x in ways]
+        tried.append(((effect,), [ways[int(np.argmin(deviances))]]))
     explanation = found.explanation
     if explanation.causes:
         own = [x for x in tried if tuple(y.name for y in x[0]) == explanation.names]

@@ -218,7 +218,7 @@ def _strains(truth: Truth, setup: Identification, found: Fit, covariance: Array)
 
 
 def _slack_lengths(truth: Truth, setup: Identification, found: Fit, covariance: Array) -> Row:
-    """The same of slack lengths, which hang on insertions as well."""
+    """True and found slack length, its deviation, and that before any test, by ligament."""
     theta = found.theta
     here = slack_lengths(setup.model, setup.free.expand(theta))
     slopes = np.empty((here.size, theta.size))

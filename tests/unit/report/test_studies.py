@@ -2,7 +2,6 @@
 
 import json
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -10,10 +9,10 @@ import pytest
 from figure_checks import clipped, code_names, drawn, empty_axes, overlapping
 from matplotlib.figure import Figure
 from slow_cases import some_slow
+from study_modules import STUDIES, study_module
 
 from identknee.subject.examples import NAMED_SUBJECTS
 
-STUDIES = Path(__file__).parents[3] / "studies"
 # Named in figures as the user names them.
 SUBJECTS = (*(x.name for x in NAMED_SUBJECTS), "lenhart2015_bundles")
 PAPER = "13_paper"  # draws a page of the documentation, and has a test of its own
@@ -23,13 +22,7 @@ LARGEST_RECORD = 1_000_000  # bytes
 
 
 def load(study: str, name: str) -> ModuleType:
-    spec = spec_from_file_location(f"study_{study}_{name}", STUDIES / study / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return study_module(STUDIES / study / f"{name}.py")
 
 
 @pytest.mark.parametrize("study", some_slow(NAMES, SLOW))

@@ -1,32 +1,24 @@
 """The study of a believable knee: its scores, and predictions beside an error of the model."""
 
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 from small_knee import as_read, small_knee
+from study_modules import STUDIES, study_module
 
 import identknee as ik
 from identknee.calibrate.problem import with_nuisance_priors
 from identknee.model.discrepancy import SmoothDiscrepancy
 from identknee.verbs.identification import with_noise
 
-FOLDER = Path(__file__).parents[3] / "studies" / "17_believable_knee"
+FOLDER = STUDIES / "17_believable_knee"
 HALF = norm.ppf(0.95)
 
 
 def load(name: str) -> ModuleType:
-    spec = spec_from_file_location(f"study_17_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return study_module(FOLDER / f"{name}.py")
 
 
 def test_a_score_is_the_width_and_twenty_times_what_is_beyond() -> None:

@@ -2,24 +2,12 @@
 
 import re
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from study_modules import STUDIES, study_module
 
-STUDIES = Path(__file__).parents[3] / "studies"
 NAMES = sorted(x.parent.name for x in STUDIES.glob("*/compute.py"))
-
-
-def script(path: Path) -> ModuleType:
-    spec = spec_from_file_location(f"command_{path.parent.name}_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -45,7 +33,7 @@ def test_a_page_gives_one_command(study: str, calls: list[list[str]]) -> None:
     assert len(commands) == 1
     words = commands[0].split()
     assert words[:2] == ["python", "studies/run.py"]
-    script(STUDIES / "run.py").main(words[2:])
+    study_module(STUDIES / "run.py").main(words[2:])
     assert calls == [[f"{study}/compute.py", *words[3:]], [f"{study}/figures.py"]]
 
 
@@ -56,13 +44,13 @@ def test_its_options_are_understood(
     monkeypatch.syspath_prepend(STUDIES / study)
     monkeypatch.setattr(sys, "argv", ["compute.py", "--help"])
     with pytest.raises(SystemExit) as ended:
-        script(STUDIES / study / "compute.py").main()
+        study_module(STUDIES / study / "compute.py").main()
     assert ended.value.code == 0
     assert "--record" in capsys.readouterr().out
 
 
 def test_a_small_version_leaves_record_and_page_alone(calls: list[list[str]]) -> None:
-    script(STUDIES / "run.py").main(["03", "--quick"])
+    study_module(STUDIES / "run.py").main(["03", "--quick"])
     (words,) = calls
     assert words[:3] == ["03_basin_of_attraction/compute.py", "--quick", "--record"]
     assert STUDIES not in Path(words[3]).parents
@@ -80,7 +68,7 @@ def test_a_study_that_fails_is_not_drawn(
 
     monkeypatch.setattr("subprocess.run", fail)
     with pytest.raises(SystemExit) as ended:
-        script(STUDIES / "run.py").main(["01"])
+        study_module(STUDIES / "run.py").main(["01"])
     assert ended.value.code == 2
     assert len(calls) == 1
 
@@ -88,7 +76,7 @@ def test_a_study_that_fails_is_not_drawn(
 def test_an_unknown_study_is_answered_with_the_list() -> None:
     for name in ("0", "99"):
         with pytest.raises(SystemExit, match=f"{name}.*01_model_evaluation, "):
-            script(STUDIES / "run.py").main([name])
+            study_module(STUDIES / "run.py").main([name])
 
 
 def test_no_data_from_outside_are_asked_for() -> None:

@@ -1,29 +1,21 @@
 """The study of what a cut is worth: its simulated knees, their plans, and what it compares."""
 
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 from common.records import study_knee
+from study_modules import STUDIES, study_module
 
 import identknee as ik
 from identknee.model.parameter_groups import tied
 from identknee.subject.knee import Uncertainty
 
-FOLDER = Path(__file__).parents[3] / "studies" / "16_what_a_cut_is_worth"
+FOLDER = STUDIES / "16_what_a_cut_is_worth"
 
 
 def load(name: str) -> ModuleType:
-    spec = spec_from_file_location(f"study_16_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return study_module(FOLDER / f"{name}.py")
 
 
 def test_eighteen_ligaments_have_all_bundles_of_the_model_once() -> None:

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,21 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from study_modules import STUDIES, study_module
 
 from identknee.laxity.protocol import load_protocol
 from identknee.subject.knee import Knee
 
-FOLDER = Path(__file__).parents[3] / "studies" / "12_geometry_uncertainty"
+FOLDER = STUDIES / "12_geometry_uncertainty"
 
 
 def load(name: str) -> ModuleType:
-    spec = spec_from_file_location(f"study_12_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return study_module(FOLDER / f"{name}.py")
 
 
 def test_errors_have_the_size_they_say(reference: Knee) -> None:

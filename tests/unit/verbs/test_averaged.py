@@ -18,7 +18,8 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads
 from identknee.runs.executors import serial
 from identknee.subject.knee import Knee, with_stated_uncertainty
-from identknee.verbs.identification import Identification, identification, marginalise_nuisances
+from identknee.verbs.identification import Identification, identification
+from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 
 FIXED = both_of("LCL", "MCL")
 # The two sides solve the same normal equations by other routes.

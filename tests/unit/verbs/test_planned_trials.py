@@ -1,4 +1,4 @@
-"""Trials that `design` is told are planned, before there are data."""
+"""Trials that are planned for `design`, before there are data."""
 
 from dataclasses import replace
 
