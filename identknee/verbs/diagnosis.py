@@ -50,6 +50,7 @@ from identknee.laxity.protocol import shown_flexion, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
 from identknee.model.effects.effect import OF, Effect
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
@@ -633,6 +634,8 @@ def diagnose_data(
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
+    # A limit that names no ligament is refused at once, and not after the diagnosis.
+    LimitResiduals(model=model, limits=limits)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)
     asked = model.parameters.names_of_interest

@@ -163,3 +163,18 @@ def test_wrong_words_about_data_are_refused(framed: tuple[Path, Path, str], tmp_
     assert "DATA.csv or --protocol" in refusal("--protocol", "seed63")
     assert "start 'IG5'" in refusal("--start", "IG5")
     assert "--noise 0.3:" in refusal("--noise", "0.3")
+
+
+def test_limits_that_cannot_count_are_refused_before_the_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("identknee.verbs.diagnosis.investigate")
+    data = ik.write_laxity(short_data(ik.reference_knee(), FRAME), tmp_path / "data.csv")
+    limits = tmp_path / "limits.toml"
+    limits.write_text(
+        '[[plausibility]]\nquantity = "XYZ.tension_N"\nstrength = { mean = 600.0, sd = 10.0 }\n'
+    )
+    asked = "diagnose", "reference", data, "--plausible", limits, "--out", tmp_path / "out"
+    assert "XYZ" in refused(*asked)
+    planned = "diagnose", "reference", "--protocol", "table2", "--noise", "0.3mm,0.3deg"
+    assert "--protocol" in refused(*planned, "--plausible", "default")
