@@ -287,8 +287,8 @@ def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
         "model with limits",
         ("price", 1),
         ("beyond limits", 1),
-        ("log evidence of the data", 1),
-        ("log p(limits)", 1),
+        ("change of log evidence", 1),
+        ("change of log p(limits)", 1),
         ("sd", 1),
     )
     rows = (
