@@ -409,7 +409,7 @@ IDENTIFICATION = (
         "tests/unit/model/test_residuals.py",
     ),
     fault(
-        "identknee/verbs/identification.py",
+        "identknee/verbs/marginalise_nuisances.py",
         "_linearised_residuals",
         "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (everything.center - theta)[varied])",
         "LaxityResiduals(model=_with_fixed_nuisances(setup.model, theta), laxity=setup.laxity, weighting='noise', shared=columns, offset=slopes @ (theta - everything.center)[varied])",
