@@ -26,9 +26,10 @@ SEEDS = (1, 2, 3)
 def test_coordinates_are_close_and_not_the_same(
     reference: Knee, reference_model: LaxityModel, reference_prediction: Prediction
 ) -> None:
-    run = run_experiment(experiment_of(reference, reference_model.protocol))
+    trials = np.arange(0, reference_model.protocol.n, 4)
+    run = run_experiment(experiment_of(reference, reference_model.protocol.select(trials)))
     assert run.is_complete
-    difference = np.abs(run.coordinates - reference_prediction.coordinates)
+    difference = np.abs(run.coordinates - reference_prediction.coordinates[trials])
     assert 0.01 < difference[:, TRANSLATIONS].max() < 1.0
     assert 0.01 < difference[:, ROTATIONS].max() < 1.5
 

@@ -53,10 +53,11 @@ def labelled(made: tuple[str, ...], said: tuple[str, ...], seed: int) -> ik.Laxi
             ("intact", "cut: ACL"),
             'taking the trials of the state "cut: ACL" for "intact"',
         ),
-        (
+        pytest.param(
             ("intact", "cut: ACL"),
             ("cut: ACL", "intact"),
             'exchanging the states "cut: ACL" and "intact"',
+            marks=pytest.mark.slow,
         ),
     ],
 )

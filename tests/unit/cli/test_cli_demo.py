@@ -58,6 +58,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
         assert tree["fits"]["theta"].sizes == {"search": 4, "run": 1, "parameter": 8}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_trials")
 def test_the_number_of_workers_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

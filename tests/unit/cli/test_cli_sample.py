@@ -75,7 +75,7 @@ def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> N
     theta |= {f"{x}.reference_strain_pct": 1.0 for x in NAMES}
     path = tmp_path / "sweep.json"
     path.write_text(json.dumps({"basins": [{"parameters": theta}]}), encoding="utf-8")
-    words = ("sample", "reference", table, *HELD, "--budget", 500, "--out", tmp_path / "out")
+    words = ("sample", "reference", table, *HELD, "--budget", 200, "--out", tmp_path / "out")
     moves = ("--moves", "difference", "--workers", 2)
     result = run(*words, *moves, "--basins", path, "--json")
     # What it is given to start at is no fit; the misfit is told at the best fit all the same.
@@ -94,7 +94,7 @@ def test_other_data_in_the_folder_of_an_unfinished_run_are_refused(
 ) -> None:
     # As a run that was killed leaves it.
     monkeypatch.setattr("identknee.verbs.verb.finish_work", lambda _: None)
-    words = (*HELD, "--budget", 500, "--out", tmp_path)
+    words = (*HELD, "--budget", 100, "--out", tmp_path)
     assert run("sample", "reference", table, *words).exit_code == 0
     other = ik.write_laxity(
         ik.add_noise(

@@ -38,7 +38,7 @@ def sampled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     data = ik.write_laxity(blank, folder / "data.csv")
     held = fixing(HELD)
-    result = run("sample", "reference", data, *held, "--out", folder, "--budget", 3000)
+    result = run("sample", "reference", data, *held, "--out", folder, "--budget", 1200)
     assert result.exit_code == 0, result.output
     return folder
 

@@ -16,6 +16,7 @@ from problems import (
     sloppy_springs,
 )
 from scipy.integrate import quad
+from slow_cases import some_slow
 
 from identknee.calibrate.problem import restricted
 from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
@@ -79,7 +80,10 @@ def test_a_linear_problem_gives_its_normal_posterior_and_passes_the_gate() -> No
     assert found.excluded.without_prediction == 0.0
 
 
-@pytest.mark.parametrize("moves", ["newton", "hamiltonian", "surrogate", "difference", "stretch"])
+@pytest.mark.parametrize(
+    "moves",
+    some_slow(["newton", "hamiltonian", "surrogate", "difference", "stretch"], ["stretch"]),
+)
 def test_every_kind_of_moves_samples_a_bent_posterior(moves: str) -> None:
     problem = bent(3)
 
@@ -190,7 +194,7 @@ class Killed:
         return self.problem.jacobian(theta)
 
 
-@pytest.mark.parametrize("moves", ["newton", "surrogate"])
+@pytest.mark.parametrize("moves", some_slow(["newton", "surrogate"], ["surrogate"]))
 def test_killed_and_resumed_it_is_the_same_bit_for_bit(moves: str, tmp_path: Path) -> None:
     problem = line()
     settings: dict[str, Any] = {

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bundled_knee import bundled_knee
+from slow_cases import some_slow
 
 import identknee as ik
 from identknee.laxity.protocol import Protocol
@@ -64,7 +65,7 @@ def _found(model: LaxityModel, theta: Array) -> StructureWrenches:
     return structure_wrenches(model, model.predict(theta), *ROWS)
 
 
-@pytest.mark.parametrize("make", [_grouped, _with_structures])
+@pytest.mark.parametrize("make", some_slow([_grouped, _with_structures], [_with_structures]))
 def test_slopes_are_those_of_differences(make: Callable[[], LaxityModel]) -> None:
     model = make()
     theta = _displaced(model)

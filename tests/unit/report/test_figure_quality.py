@@ -49,7 +49,7 @@ def pictures(verb: str) -> dict[str, str]:
     return {k: inline_svg(x.figure, k, x.description) for k, x in drawings(verb).items()}
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo"]))
 def test_figures_can_be_read(verb: str) -> None:
     found = faults_of(RESULTS / verb)
     assert found
