@@ -106,8 +106,8 @@ def run(tier: str, modules: Mapping[str, str], script: str) -> int:
     """Measure the rows asked for on the command line; 1 if a bar was missed, else 0.
 
     Each module has ``measure(options) -> Row``, or ``parts(options)`` that yields the row again
-    whenever more of it is measured. The record is written anew each time; rows not measured this
-    time keep what they had.
+    whenever more of it is measured; ``options.row`` names the row. The record is written anew each
+    time; rows not measured this time keep what they had.
     """
     parser = argparse.ArgumentParser(description=f"Measure the {tier} rows and record them.")
     parser.add_argument("--only", nargs="+", choices=list(modules), default=list(modules))
@@ -121,6 +121,8 @@ def run(tier: str, modules: Mapping[str, str], script: str) -> int:
     verdicts = {}
     for name in options.only:
         began = time.perf_counter()
+        # A module may measure several rows.
+        options.row = name
         module = importlib.import_module(modules[name])
         rows = module.parts(options) if hasattr(module, "parts") else [module.measure(options)]
         for row in rows:
