@@ -1,15 +1,17 @@
 """What results open with where their fit is rejected or implausible: why, and what to do next."""
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import RANKS, Doubt, Finding, Severity
-from identknee.runs.record import Record
 from identknee.verbs.answer import Answer
 
-NEXT, GIVEN = "diagnose", ("uncertain", "noise")
+NEXT = "diagnose"
+# Options that are part of the question, and those of them that are given once for each value.
+GIVEN, REPEATED = ("uncertain", "noise", "plausible", "keep", "leave_out"), ("keep", "leave_out")
 # Findings that come first, and the length of a sentence that is said there as it is.
 MOST_FINDINGS, LONGEST = 3, 240
 
@@ -34,7 +36,7 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
     """Why nothing is known at the fits of these answers, the misfit first."""
     given = list(answers)
     found = {x.identity: x for answer in given for x in answer.findings if x.kind.doubt is not None}
-    command = _command(given)
+    command = _command(given, {x.kind.doubt for x in found.values()})
     sentences, brief, said = list[str](), list[str](), list[Finding]()
     is_command_said = not command
     for doubt in Doubt:
@@ -70,25 +72,32 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
     )
 
 
-def _command(answers: Iterable[Answer]) -> str:
-    """The diagnosis of the same data; empty where it was made."""
+def _command(answers: Iterable[Answer], doubts: Collection[Doubt | None]) -> str:
+    """The diagnosis of the same data, then with limits of plausibility; empty where it was made."""
     records = [x.record for x in answers if x.record is not None]
-    if any(x.verb == NEXT for x in records):
-        return ""
-    of_data = [x for x in records if x.settings.get("data")]
-    return _words(of_data[-1]) if of_data else f"identknee {NEXT}"
+    diagnosed = [x.settings for x in records if x.verb == NEXT]
+    if diagnosed:
+        is_limited = any(x.get("plausible") for x in diagnosed)
+        if is_limited or Doubt.IMPLAUSIBLE not in doubts:
+            return ""
+        return command_on_data(NEXT, {**diagnosed[-1], "plausible": "default"})
+    of_data = [x.settings for x in records if x.settings.get("data")]
+    return command_on_data(NEXT, of_data[-1]) if of_data else f"identknee {NEXT}"
 
 
-def _words(record: Record) -> str:
-    settings = record.settings
+def command_on_data(verb: str, settings: Mapping[str, Any]) -> str:
+    """The command that asks a verb about the same knee and data as a call with these settings."""
     data = settings["data"]
     tables = [data] if isinstance(data, str) else map(str, data)
-    words = ["identknee", NEXT, str(settings.get("subject") or "SUBJECT"), *tables]
+    words = ["identknee", verb, str(settings.get("subject") or "SUBJECT"), *tables]
     for name in GIVEN:
-        value = settings.get(name)
-        if value:
-            shown = value if isinstance(value, str) else ",".join(map(str, value))
-            words += [f"--{name}", shown]
+        value = settings.get(name) or ()
+        # Objects given in Python are no words of a command.
+        values = [x for x in ([value] if isinstance(value, str) else value) if isinstance(x, str)]
+        if values and name not in REPEATED:
+            values = [",".join(values)]
+        for x in values:
+            words += [f"--{name.replace('_', '-')}", x]
     return shlex.join(words)
 
 

@@ -1,12 +1,12 @@
 """The page: one HTML file with the answer first and everything behind it after that."""
 
 import json
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -14,7 +14,7 @@ from markupsafe import Markup
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.comparison import Comparison, comparison
-from identknee.report.opening import MOST_FINDINGS, brief_line
+from identknee.report.opening import MOST_FINDINGS, brief_line, command_on_data
 from identknee.report.overview import (
     KNOWN,
     Overview,
@@ -466,17 +466,17 @@ def _further_commands(findings: Findings) -> list[tuple[str, str]]:
     done = {x.verb for x in findings.results}
     if "demo" in done:
         done.add("profile")
-    tables = next((x.tables for x in reversed(findings.results) if x.tables), None)
-    if tables is None:
+    of_data = next((x for x in reversed(findings.results) if x.tables), None)
+    settings: dict[str, Any] = {"subject": findings.subject}
+    if of_data is not None:
+        settings = {**of_data.record["settings"], **settings, "data": of_data.tables}
+    else:
         made = findings.of("demo", "simulate")
-        tables = (str(made[0].folder / "laxity.csv") if made else "DATA.csv",)
-    given = shlex.join([findings.subject, *tables])
-    noise = " --noise 0.5mm,0.5deg" if "demo" in done else ""
+        settings["data"] = str(made[0].folder / "laxity.csv") if made else "DATA.csv"
+    if "demo" in done:
+        settings["noise"] = "0.5mm,0.5deg"
     return [
-        (
-            x.suggestion,
-            f"identknee {x.name} {given}{noise * (x.name not in ('fit', 'sensitivity'))}",
-        )
+        (x.suggestion, command_on_data(x.name, settings))
         for x in verbs()
         if x.suggestion and x.name not in done
     ]

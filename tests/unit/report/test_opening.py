@@ -1,7 +1,9 @@
 """What results open with where their fit is rejected or implausible."""
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from bs4 import BeautifulSoup
 
@@ -79,9 +81,32 @@ def test_an_implausible_fit_ends_with_the_command() -> None:
     assert "identknee diagnose reference" in command
 
 
-def test_after_a_diagnosis_none_is_asked_for() -> None:
-    answers: list[Answer] = [_profiles(_force("MCL", 1262.0)), load(STORED / "diagnose")]
-    assert "diagnose" not in " ".join(opening_of(answers).sentences)
+def _diagnosed(**settings: Any) -> Answer:
+    answer = load(STORED / "diagnose")
+    assert answer.record is not None
+    record = replace(answer.record, settings={**answer.record.settings, **settings})
+    return replace(answer, record=record, findings=())
+
+
+def test_after_a_diagnosis_of_an_implausible_fit_one_with_limits_is_asked_for() -> None:
+    implausible, rejected = _profiles(_force("MCL", 1262.0)), _profiles(MISFIT)
+    asked = {"noise": "1mm,2deg", "uncertain": ["insertions=2mm"], "leave_out": ["a b", "c"]}
+    said = opening_of([implausible, _diagnosed(**asked)]).sentences[-1]
+    assert said.startswith("Next: identknee diagnose reference")
+    words = shlex.split(said.removeprefix("Next: "))
+    options = list(zip(words[-10::2], words[-9::2], strict=True))
+    assert options == [
+        ("--uncertain", "insertions=2mm"),
+        ("--noise", "1mm,2deg"),
+        ("--plausible", "default"),
+        ("--leave-out", "a b"),
+        ("--leave-out", "c"),
+    ]
+    for answers in (
+        [implausible, _diagnosed(plausible="default")],
+        [rejected, _diagnosed(plausible=None)],
+    ):
+        assert not opening_of(answers).has_command
 
 
 def test_what_was_said_is_not_said_again_but_for_errors() -> None:
