@@ -10,6 +10,7 @@ raises it makes the knee believable. Only the second is evidence of the data.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -42,6 +43,7 @@ from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
+from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
 from identknee.subject.knee import StatedPrior
@@ -89,7 +91,12 @@ class CauseUnderLimits:
 
 
 def causes_under_limits(
-    found: Investigation, limits: Limits, priors: Mapping[str, StatedPrior], *, seed: int
+    found: Investigation,
+    limits: Limits,
+    priors: Mapping[str, StatedPrior],
+    *,
+    seed: int,
+    executor: Executor = serial,
 ) -> tuple[CauseUnderLimits, ...]:
     """The model without causes where limits count, then causes, the highest evidence first.
 
@@ -107,6 +114,8 @@ def causes_under_limits(
         wider, and say nothing of what is believable.
     seed
         Seed of starts and draws.
+    executor
+        Who fits causes.
     """
     fitted = found.base.fitted
     model = replace(fitted.model, knee=replace(fitted.model.knee, priors=dict(priors)))
@@ -114,14 +123,11 @@ def causes_under_limits(
     base = weighing.without_causes()
     if not base.fitted.evaluation.is_finite:
         return (_row(base, base),)
-    made = [
-        weighing.weighed(causes, starts, base)
-        for causes, starts in progress(
-            _tried(weighing, base, found), description="fitting causes with limits"
-        )
-    ]
-    made.sort(key=lambda x: -x.log_both)
-    return tuple(_row(x, base) for x in (base, *made))
+    tried = _tried(weighing, base, found)
+    rows = executor.map(partial(_weighed_row, weighing, base), tried)
+    made = list(progress(rows, total=len(tried), description="fitting causes with limits"))
+    made.sort(key=lambda x: -x[0])
+    return (_row(base, base), *(row for _, row in made))
 
 
 @declared
@@ -146,6 +152,14 @@ class _Weighed:
         """Log p(data, limits | model), up to a constant of the data."""
         at, parameters = self.fitted.evaluation, self.problem.parameters
         return log_evidence(at, parameters, self.fitted.is_held) if at.is_finite else -np.inf
+
+
+def _weighed_row(
+    weighing: "_Weighing", base: _Weighed, tried: Tried
+) -> tuple[float, CauseUnderLimits]:
+    """The log evidence of data and limits together, and what is said of a model with causes."""
+    one = weighing.weighed(*tried, base)
+    return one.log_both, _row(one, base)
 
 
 def _row(one: _Weighed, base: _Weighed) -> CauseUnderLimits:

@@ -797,9 +797,8 @@ def refit(
         Refits with the same causes, from whose ends fits begin.
     """
     model = base.fitted.model
-    extended = model.with_effects([*model.effects, *causes])
     fitted = best_fit_from(
-        extended,
+        model.with_effects([*model.effects, *causes]),
         base.fitted.laxity,
         base.fitted.noise,
         starts,
@@ -807,12 +806,14 @@ def refit(
         ends=[x.fitted.evaluation for x in beside],
         known=[x.fitted.evaluation for x in known],
     )
-    return Refit(
-        causes=tuple(causes),
-        fitted=fitted,
-        smooth=base.smooth,
-        noise_degrees=base.noise_degrees,
-    )
+    return replace(base, causes=tuple(causes), fitted=fitted)
+
+
+def refit_of(base: Refit, causes: Sequence[Effect], constrained: ConstrainedFit) -> Refit:
+    """The base model with these causes, where its fit is known."""
+    model = base.fitted.model.with_effects([*base.fitted.model.effects, *causes])
+    fitted = replace(base.fitted, model=model, constrained=constrained)
+    return replace(base, causes=tuple(causes), fitted=fitted)
 
 
 def refit_via_low_loads(base: Refit, stuck: Refit, start: Array) -> Refit:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 from identknee.calibrate.fit import load_start
 from identknee.checks.data_noise import DataNoise
@@ -56,6 +56,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import MissingWrench, missing_wrench
 from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
+from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.progress import stage
 from identknee.runs.record import Outcome
@@ -229,6 +230,7 @@ def investigate(
     starts: Sequence[Array | str | os.PathLike[str]] = (),
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
+    executor: Executor = serial,
 ) -> Investigation | None:
     """What the data say against the model of a knee; None where they cannot be tested.
 
@@ -243,6 +245,8 @@ def investigate(
         Candidates; the whole library where None.
     seed
         Seed of the distributions under no effect.
+    executor
+        Who refits causes.
 
     Raises
     ------
@@ -265,11 +269,11 @@ def investigate(
             begin = [*begin, first.theta[: first.model.n_ligament_parameters]]
             base_fit = fit_base(knee, laxity, starts=begin, seed=seed) or base_fit
         base_fit = lowest_fit(base_fit, seed)
-    attribution, p_value = _explained(base_fit, effects, seed)
+    attribution, p_value = _explained(base_fit, effects, seed, executor)
     if (start := better_start(attribution)) is not None:
         again = fit_base(knee, laxity, starts=[*begin, start], seed=seed)
         base_fit = base_fit if again is None else lowest_fit(again, seed)
-        attribution, p_value = _explained(base_fit, effects, seed)
+        attribution, p_value = _explained(base_fit, effects, seed, executor)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
     fitted = base.fitted
@@ -310,24 +314,25 @@ def _library(knee: Knee, laxity: Laxity) -> tuple[Effect, ...]:
 
 
 def _explained(
-    base_fit: BaseFit, effects: Sequence[Effect], seed: int
+    base_fit: BaseFit, effects: Sequence[Effect], seed: int, executor: Executor
 ) -> tuple[Attribution, float]:
     """The explanation of what a fit leaves, and how probable so clear a misfit is."""
     base = without_causes(base_fit)
     beyond = insertions_beyond_prior(base.fitted)
     effects = [*effects, *beyond.causes]
-    attribution = attribute(base, effects, seed=seed)
+    explained = partial(attribute, base, seed=seed, executor=executor)
+    attribution = explained(effects)
     p_value = base.alarm_p_value(attribution.steps[0].scores.p_value)
     is_alarm = p_value <= LEVEL
     if not attribution.steps[0].is_significant and (is_alarm or beyond.causes):
-        forced = attribute(base, effects, seed=seed, is_forced=True)
+        forced = explained(effects, is_forced=True)
         # An insertion beyond its prior is an alarm of its own where a cause explains it.
         if is_alarm or forced.best.causes:
             attribution, p_value = forced, p_value if is_alarm else beyond.p_value
     mounted = remounting_errors(base, attribution.best) if p_value <= LEVEL else None
     if mounted is None:
         return attribution, p_value
-    return attribute(base, [*effects, mounted], seed=seed, is_forced=True), p_value
+    return explained([*effects, mounted], is_forced=True), p_value
 
 
 def better_start(attribution: Attribution) -> Array | None:

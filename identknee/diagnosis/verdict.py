@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
-from functools import reduce
+from functools import partial, reduce
 from math import comb, log
 
 import numpy as np
 from scipy.special import ndtri
 
+from identknee.calibrate.bounded_least_squares import ConstrainedFit
 from identknee.diagnosis.candidates import CandidateCauses, Variant, library_candidates
 from identknee.diagnosis.fitting import (
     Refit,
@@ -18,6 +19,7 @@ from identknee.diagnosis.fitting import (
     is_undecided,
     posterior_of,
     refit,
+    refit_of,
     refit_via_low_loads,
     rivals_of,
 )
@@ -31,6 +33,7 @@ from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry
+from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import counted, progress, progress_bar, stage
 from identknee.runs.record import Outcome
 
@@ -117,7 +120,12 @@ class Attribution:
 
 
 def attribute(
-    base: Refit, effects: Sequence[Effect], *, seed: int, is_forced: bool = False
+    base: Refit,
+    effects: Sequence[Effect],
+    *,
+    seed: int,
+    is_forced: bool = False,
+    executor: Executor = serial,
 ) -> Attribution:
     """The explanation of what a fit leaves, by a search of sets of causes.
 
@@ -136,13 +144,15 @@ def attribute(
         Seed of the distribution of the largest score.
     is_forced
         Whether to try a first cause although none scores high: where other tests found a misfit.
+    executor
+        Who refits causes.
     """
     sets, steps = _Sets(base, len(effects)), [score_candidates(base, effects, seed)]
     while len(sets.best.causes) < MOST_CAUSES and len(steps) < MOST_LOOKS:
         step, current = steps[-1], sets.best
         if not (step.is_significant or (is_forced and not current.causes)):
             break
-        step = replace(step, refits=refit_top_candidates(step, base))
+        step = replace(step, refits=refit_top_candidates(step, base, executor))
         steps[-1] = step
         sets.add(step.refits)
         sets.look_back(steps[0].refits)
@@ -270,7 +280,9 @@ def _without(base: Refit, current: Refit, name: str, *instead: Refit) -> Refit:
     return refit(base, [*kept, *(y for x in instead for y in x.causes)], [start])
 
 
-def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...]:
+def refit_top_candidates(
+    step: AttributionStep, base: Refit, executor: Executor = serial
+) -> tuple[Refit, ...]:
     """The effects that score high, refitted: all a little, the better ones to the end.
 
     One that has no prediction, or is stuck where a trial leaves its branch, begins again with less
@@ -282,22 +294,45 @@ def refit_top_candidates(step: AttributionStep, base: Refit) -> tuple[Refit, ...
         The highest evidence first.
     """
     tasks = [_Task.of(step, x, base) for x in _high_scoring(step)]
-    begun = [x.begun(base) for x in progress(tasks, description="trying causes")]
+    first = executor.map(partial(_begun, base), tasks)
+    begun = [
+        refit_of(base, task.causes, x)
+        for task, x in zip(
+            tasks, progress(first, total=len(tasks), description="trying causes"), strict=True
+        )
+    ]
     best = max((x.log_evidence for x in begun), default=0.0)
     costs = [task.cost(x) for task, x in zip(tasks, begun, strict=True)]
     is_finished = [
         place < ALWAYS or x.log_evidence > best - FAR_BEHIND for place, x in enumerate(begun)
     ]
     with progress_bar("fitting causes", len(costs), costs=costs) as advance:
+        asked = [
+            (task, x.fitted.constrained if is_wanted else None)
+            for task, x, is_wanted in zip(tasks, begun, is_finished, strict=True)
+        ]
+        ends = counted(executor.map(partial(_finished, base), asked), advance)
         found = [
-            task.finished(base, x) if is_wanted else x
-            for task, x, is_wanted in counted(zip(tasks, begun, is_finished, strict=True), advance)
+            x if end is None else refit_of(base, x.causes, end)
+            for x, end in zip(begun, ends, strict=True)
         ]
     best = max((x.log_evidence for x in found), default=0.0)
     for place, task in enumerate(tasks):
         if task.is_possible and is_undecided(found[place], best - found[place].log_evidence):
             found[place] = task.rescued(base, found, place, is_finished=is_finished[place])
     return tuple(sorted(found, key=lambda x: -x.log_evidence))
+
+
+# What workers do. A fit alone goes back: its model is that of the base, which is here already.
+def _begun(base: Refit, task: "_Task") -> ConstrainedFit:
+    return task.begun(base).fitted.constrained
+
+
+def _finished(base: Refit, asked: tuple["_Task", ConstrainedFit | None]) -> ConstrainedFit | None:
+    task, begun = asked
+    if begun is None:
+        return None
+    return task.finished(base, refit_of(base, task.causes, begun)).fitted.constrained
 
 
 def is_flexible(effect: Effect) -> bool:

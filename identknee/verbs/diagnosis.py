@@ -54,6 +54,7 @@ from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.executors import Executor
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Finding, finding, without_repeats
 from identknee.runs.progress import planned, stage
@@ -521,6 +522,7 @@ class Comparison:
     )
     effects: Sequence[Effect] | None = entry("Effects tried, as there")
     seed: int = entry("Seed of random numbers, as there")
+    executor: Executor = entry("Who refits causes")
 
     def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
         """The rows that the fit contradicts, with the verdict that the other trials have."""
@@ -554,7 +556,12 @@ class Comparison:
     ) -> tuple[str, dict[str, object]]:
         """The verdict on other trials as a sentence, and as values."""
         rest = investigate(
-            self.knee, laxity, starts=self.starts, effects=self.effects, seed=self.seed
+            self.knee,
+            laxity,
+            starts=self.starts,
+            effects=self.effects,
+            seed=self.seed,
+            executor=self.executor,
         )
         if rest is None:
             return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
@@ -649,18 +656,24 @@ def diagnose_data(
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
     with planned("diagnosing", work_of(model.parameters.n)):
-        found = investigate(knee, kept, starts=begin, effects=effects, seed=seed)
+        found = investigate(
+            knee, kept, starts=begin, effects=effects, seed=seed, executor=run.executor
+        )
         if found is None:
             return untestable(
                 _reason_untestable(knee, laxity), (*lost, *end_point_findings(laxity))
             )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
-    compared = Comparison(knee=knee, starts=begin, effects=effects, seed=seed)
+    compared = Comparison(
+        knee=knee, starts=begin, effects=effects, seed=seed, executor=run.executor
+    )
     answer = replace(
         answer,
         trials_used=used.names,
-        under_limits=causes_under_limits(found, limits, stated, seed=seed) if limits else (),
+        under_limits=causes_under_limits(found, limits, stated, seed=seed, executor=run.executor)
+        if limits
+        else (),
         assumptions=(
             *answer.assumptions,
             *used.sentences,

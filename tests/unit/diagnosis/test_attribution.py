@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnoses import FRAME, FRAME_DEG, SD, diagnosed, short_trials
+from elsewhere import Elsewhere
 from scipy.stats import multivariate_normal
 
 from identknee.calibrate.problem import Evaluation
@@ -363,7 +364,7 @@ def test_no_more_than_three_causes_are_sought(monkeypatch: pytest.MonkeyPatch) -
         is_significant: bool = True
         scores: Any = None
 
-    def refits(step: Any, _base: Any) -> tuple[Made, ...]:
+    def refits(step: Any, *_: Any) -> tuple[Made, ...]:
         name, now = step.names[0], step.at
         return (
             Made(
@@ -399,6 +400,18 @@ def test_only_what_scores_is_refitted(one: Attribution) -> None:
     low = replace(nothing.scores.candidates[0], score=0.5)
     quiet = replace(nothing, scores=replace(nothing.scores, candidates=(low,)))
     assert refit_top_candidates(quiet, one.base) == ()
+
+
+def test_refits_of_another_process_are_the_same(one: Attribution) -> None:
+    step, executor = one.steps[0], Elsewhere()
+    few = replace(step, scores=replace(step.scores, candidates=step.scores.candidates[:2]))
+    here, there = (refit_top_candidates(few, one.base, *x) for x in ((), (executor,)))
+    # Each is begun, and then taken to its end.
+    assert executor.n_done == 2 * len(here) == 4
+    for x, y in zip(here, there, strict=True):
+        assert x.names == y.names
+        np.testing.assert_array_equal(x.fitted.theta, y.fitted.theta)
+        assert x.log_evidence == y.log_evidence
 
 
 def evidence_of(columns: Array, data: Array, *, lower: float) -> float:

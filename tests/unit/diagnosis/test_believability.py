@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from elsewhere import Elsewhere
 
 import identknee as ik
 from identknee.diagnosis import believability
@@ -27,6 +28,9 @@ from identknee.subject.plausibility import Limit
 CAPSULE = "posterior_capsule"
 FEW = (CAPSULE, "compression", "flexion_offset")
 MADE_WITH = {0: 3.0, 1: 3.0, 2: 3.0}
+
+
+ELSEWHERE = Elsewhere()
 
 
 def few_trials() -> ik.Protocol:
@@ -70,7 +74,11 @@ def weighed(
         for name, few in (("N_STARTS", 2), ("MOST_CAUSES", 1), ("LOG_DRAWS", 5)):
             patch.setattr(believability, name, few)
         patch.setattr(believability, "best_fits", partial(best_fits, hops=False))
-        return causes_under_limits(found, (limit,), stated, seed=0)
+        return causes_under_limits(found, (limit,), stated, seed=0, executor=ELSEWHERE)
+
+
+def test_the_executor_fits_the_causes(weighed: tuple[CauseUnderLimits, ...]) -> None:
+    assert ELSEWHERE.n_done == len(weighed) - 1
 
 
 def test_the_true_cause_pays_no_price_and_has_the_highest_evidence(

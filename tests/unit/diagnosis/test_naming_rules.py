@@ -270,7 +270,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, refits: Any, names: str) -> Any:
         return Step(at, tuple(x.name for x in effects))
 
     monkeypatch.setattr(naming, "score_candidates", step)
-    monkeypatch.setattr(naming, "refit_top_candidates", lambda step, _base: refits(step))
+    monkeypatch.setattr(naming, "refit_top_candidates", lambda step, *_: refits(step))
     monkeypatch.setattr(naming, "rivals_of", lambda _best, rest, _looks: tuple(rest))
     effects: Any = [SimpleNamespace(name=x) for x in names]
     base: Any = Explanation()
