@@ -43,6 +43,7 @@ MODULES = {
     "priors": "verify_priors",
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
+    "limits": "verify_limits",
     "forecast": "verify_forecast",
     "states": "verify_states",
     "discrepancy": "verify_discrepancy",
