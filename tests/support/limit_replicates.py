@@ -6,11 +6,17 @@ from typing import Any
 import numpy as np
 from experiment_replicates import NOISE, STATED, drawn_truth, rises_to_truth
 from knees import knee
+from sbc_replicates import MOST_REDRAWN, ranked
 
 import identknee as ik
+from identknee.calibrate.problem import PLAUSIBILITY_TERM, TABLE_TERM, Problem, SumOfTerms
+from identknee.identify.posterior.posterior import prior_draws
+from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
+from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.subject.plausibility import Limit
 from identknee.verbs.identification import identification
@@ -25,8 +31,7 @@ def limit_replicate(task: tuple[str, int]) -> dict[str, Any]:
     """The rise of the profile deviance to each true parameter, with limits and without."""
     subject, seed = task
     known = knee(subject).with_uncertainty(STATED)
-    trials = ik.load_protocol("seed63")
-    model = LaxityModel(knee=known, protocol=trials.select(range(0, trials.n, EVERY)))
+    model = LaxityModel(knee=known, protocol=_protocol())
     limits = _limits(model)
     generator = np.random.default_rng([seed, *subject.encode()])
     theta, found = _survivor(model, limits, generator)
@@ -56,14 +61,48 @@ def _survivor(
     model: LaxityModel, limits: tuple[Limit, ...], generator: np.random.Generator
 ) -> tuple[Array, Prediction]:
     """A knee whose ligaments, their strengths drawn as well, bear all trials."""
-    names = [x.name for x in model.knee.ligaments]
-    owners = [names.index(x.what.partition(".")[0]) for x in limits]
     for _ in range(MOST_SPECIMENS):
         theta, found = drawn_truth(model, generator, model.protocol.n)
-        strengths = np.array([generator.normal(x.size, x.spread) for x in limits])
-        if found.is_converged.all() and np.all(_largest(model, found)[owners] < strengths):
+        if _survives(model, limits, found, generator):
             return theta, found
     raise AssertionError("no knee bears these trials")
+
+
+def _survives(
+    model: LaxityModel,
+    limits: tuple[Limit, ...],
+    found: Prediction,
+    generator: np.random.Generator,
+) -> bool:
+    """Whether all trials have an equilibrium and no ligament, its strength drawn, fails in one."""
+    names = [x.name for x in model.knee.ligaments]
+    owners = [names.index(x.what.partition(".")[0]) for x in limits]
+    strengths = np.array([generator.normal(x.size, x.spread) for x in limits])
+    if not found.is_converged.all():
+        return False
+    return bool(np.all(_largest(model, found)[owners] < strengths))
+
+
+def limit_ranks(seed: int) -> dict[str, Any]:
+    """Ranks of a true knee, which is within limits that count, among draws of its posterior."""
+    model = LaxityModel(knee=knee("reference"), protocol=_protocol())
+    limits, generator = _limits(model), np.random.default_rng(seed)
+    for n_redrawn, truth in enumerate(prior_draws(model.parameters, MOST_REDRAWN, generator)):  # noqa: B007 - the first that is found
+        found = model.predict(truth, derivatives=False)
+        if _survives(model, limits, found, generator):
+            break
+    exact = ik.Laxity(protocol=model.protocol, coordinates=found.coordinates)
+    noisy = add_noise(exact, sd_mm=NOISE, sd_deg=NOISE, seed=seed)
+    table = LaxityResiduals(model=model, laxity=noisy, weighting="noise")
+    kept = LimitResiduals(model=table.model, limits=limits)
+    terms: dict[str, Problem] = {TABLE_TERM: table, PLAUSIBILITY_TERM: kept}
+    problem = SumOfTerms(terms=terms, sizes=(noisy.n_values, kept.n))
+    return {"n_redrawn": n_redrawn, **ranked(problem, truth, seed)}
+
+
+def _protocol() -> ik.Protocol:
+    trials = ik.load_protocol("seed63")
+    return trials.select(range(0, trials.n, EVERY))
 
 
 def _largest(model: LaxityModel, found: Prediction) -> Array:

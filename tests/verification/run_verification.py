@@ -44,6 +44,7 @@ MODULES = {
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
     "limits": "verify_limits",
+    "sbc_limits": "verify_sbc_limits",
     "forecast": "verify_forecast",
     "states": "verify_states",
     "discrepancy": "verify_discrepancy",
