@@ -71,7 +71,8 @@ class ExperimentsFile(Part):
 def read_experiments(given: LaxityLike | Sequence[LaxityLike]) -> Laxity:
     """The laxity of one table, of several, or of the experiments that a TOML file lists.
 
-    Several tables are experiments named after their files, made by one rig in one mounting. An
+    Several tables are experiments made by one rig in one mounting. They are named after their
+    files, or after the folders of files of one name. An
     ``experiments.toml`` says more: of each experiment its ``table``, ``rig``, ``state`` and whether
     the knee was ``remounted``, or its table of in-situ forces (``superposition``, ``reads``); of
     each rig its ``noise`` and ``uncertainty``.
@@ -93,11 +94,21 @@ def read_experiments(given: LaxityLike | Sequence[LaxityLike]) -> Laxity:
     tables = [x if isinstance(x, Laxity) else read_laxity(x) for x in given]
     if len(tables) == 1:
         return tables[0]
-    names = [x.protocol.name for x in tables]
+    names = _names(given, [x.protocol.name for x in tables])
     if twice := next((x for x in names if names.count(x) > 1), ""):
         raise ValueRefused(f"two tables are called {twice}", "rename one of the files")
     experiments = [Experiment(name=x, rig=RIG, mounting=f"{RIG}-1") for x in names]
     return joined(list(zip(experiments, tables, strict=True)))
+
+
+def _names(given: Sequence[object], names: Sequence[str]) -> list[str]:
+    """Names of tables: those of folders for files of one name."""
+    return [
+        Path(x).resolve().parent.name
+        if names.count(name) > 1 and isinstance(x, str | os.PathLike)
+        else name
+        for x, name in zip(given, names, strict=True)
+    ]
 
 
 def is_experiments(path: Path) -> bool:

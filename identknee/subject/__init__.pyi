@@ -3,6 +3,7 @@ from .capsule import with_capsule as with_capsule
 from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
 from .ligament import Ligament as Ligament
+from .ligament import LigamentGroup as LigamentGroup
 from .menisci import with_menisci as with_menisci
 from .obstacle import Obstacle as Obstacle
 from .opensim_export import write_opensim as write_opensim

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from identknee.report.laxity_figures import LaxityCurves
 
 
+# Rows of ligaments that a terminal shows.
+MOST_LIGAMENTS = 8
+
+
 def _how_many(answer: Simulation) -> str:
     n, found = answer.n_trials, answer.n_converged
     if n == found:
@@ -60,6 +64,8 @@ class SimulationPresenter(Presenter[Simulation]):
         yield self.say(
             f"{_how_many(answer)} a stable pose.{blank}{lowest}", *((reasons,) if lost else ())
         )
+        if stable:
+            yield self._forces(answer)
         if answer.rmse is not None and answer.rmse.n_compared:
             error = answer.rmse
             names = zip(COORDINATES, error.by_coordinate.tolist(), strict=True)
@@ -80,6 +86,29 @@ class SimulationPresenter(Presenter[Simulation]):
                 f"{error.n_compared} measured values{missing}).",
                 by_coordinate,
             )
+
+    def _forces(self, answer: Simulation) -> Statement:
+        """The largest force of each ligament, and where it is."""
+        tension, trials = np.nan_to_num(answer.tension_N), answer.protocol.trials
+        rows = sorted(
+            zip(
+                answer.ligaments,
+                tension.max(axis=0).tolist(),
+                (trials[i] for i in tension.argmax(axis=0)),
+                strict=True,
+            ),
+            key=lambda x: -x[1],
+        )
+        name, force, trial = rows[0]
+        return self.say(
+            f"The largest ligament force is {amount(force, 'N')}, of {name} in {trial}.",
+            table(
+                "Largest ligament forces",
+                ("ligament", ("force", 1, "N"), "trial"),
+                ((x, y, where if y > 0.0 else "") for x, y, where in rows),
+                most=MOST_LIGAMENTS,
+            ),
+        )
 
     @override
     def curves(self, answer: Simulation, beside: Sequence[Answer]) -> "LaxityCurves":

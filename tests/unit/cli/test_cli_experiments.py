@@ -10,6 +10,7 @@ from cli_runs import refused, run
 from held import both_of, fixing
 
 import identknee as ik
+from identknee.laxity.experiment_tables import read_experiments
 
 PROTOCOL = ik.load_protocol("table2")
 HELD = fixing(both_of("PCL", "LCL", "MCL"))
@@ -54,6 +55,13 @@ def test_two_tables_are_fitted_together(folder: Path) -> None:
     np.testing.assert_array_equal(same.search.theta, loaded.search.theta)
 
 
+def test_tables_of_one_name_are_named_after_their_folders(folder: Path) -> None:
+    (folder / "later").mkdir()
+    (folder / "later" / "intact.csv").write_bytes((folder / "cut.csv").read_bytes())
+    read = read_experiments([folder / "intact.csv", folder / "later" / "intact.csv"])
+    assert [x.name for x in read.protocol.experiments] == [folder.name, "later"]
+
+
 @pytest.mark.parametrize(
     ("tables", "named"),
     [
@@ -61,7 +69,7 @@ def test_two_tables_are_fitted_together(folder: Path) -> None:
         (("all.csv",), "every ligament"),
         (("severed.csv",), "severed"),
         (("force.csv",), "the force of MCL"),
-        (("intact.csv", "intact.csv"), "two tables are called intact"),
+        (("intact.csv", "intact.csv"), "two tables are called "),
         (("intact.csv", "none.csv"), "none.csv"),
         (("intact.csv", "reference"), "subject"),
     ],
