@@ -147,8 +147,10 @@ RAYS_PER_TASK = 20
 BLOCK = 256  # points per block of distances, which bounds the memory
 SIGNS = (-1.0, 1.0)
 # Searches that end this close, relative to the quantity's range, agree.
-AGREEMENT = 1e-4
+AGREEMENT = 1e-3
 Row = dict[str, Any]
+# The place of a quantity, and the sign of its extremum.
+Side = tuple[int, float]
 
 
 @declared
@@ -167,7 +169,7 @@ class Extremum:
     )
     n_searches: int = entry("Searches from different starts", unit="1")
     n_agreeing: int = entry(
-        "Searches that ended at this value within 0.01 % of the quantity's range; one of many is a "
+        "Searches that ended at this value within 0.1 % of the quantity's range; one of many is a "
         "warning: there may be more beyond",
         unit="1",
     )
@@ -200,7 +202,7 @@ class RegionSearches:
         self._store = store
         self._view = RegionView(region)
         self._n_simulations = 0
-        self._ends: dict[tuple[int, float], list[Row]] = {}
+        self._ends: dict[Side, list[Row]] = {}
         self._pairs: list[Row] = []
         self._pool: list[Array] = [region.center]
 
@@ -230,25 +232,25 @@ class RegionSearches:
         best = max(self._pairs, key=lambda row: float(row["value"]))
         return float(best["value"]), np.array(best["theta"]).reshape(2, -1)
 
-    def extremes(self, which: Sequence[int], starts: Array, values: Array, name: str) -> None:
-        """Search the smallest and the largest value of some quantities.
+    def extremes(self, which: Sequence[Side], starts: Array, values: Array, name: str) -> None:
+        """Search the smallest or the largest value of some quantities.
 
         Parameters
         ----------
         which
-            Places of the quantities.
+            Places of the quantities, each with the sign of what is searched.
         starts, values
             Points inside, shape ``(n_starts, n)``, and all quantities there, shape
-            ``(n_starts, n_quantities)``. Searches begin at the first, and at a few others where the
-            quantity is lowest or highest.
+            ``(n_starts, n_quantities)``. Searches begin at the first unless one did before, and at
+            a few others where the quantity is lowest or highest.
         name
             Name of the map in the store.
         """
         items: list[Row] = []
-        for i in which:
-            for sign in SIGNS:
-                best = 1 + np.argsort(-sign * values[1:, i], kind="stable")[: STARTS - 1]
-                items.append({"quantity": i, "sign": sign, "starts": starts[[0, *best]]})
+        for i, sign in which:
+            first = [] if (i, sign) in self._ends else [0]
+            best = 1 + np.argsort(-sign * values[1:, i], kind="stable")[: STARTS - 1]
+            items.append({"quantity": i, "sign": sign, "starts": starts[[*first, *best]]})
         rows = self._map(_search_extreme, items, name, "finding extrema")
         for item, row in zip(items, rows, strict=True):
             self._n_simulations += row["n_simulations"]
@@ -319,13 +321,19 @@ class RegionSearches:
                 found.append(points[[i, j]])
         return found
 
-    def doubtful(self) -> list[int]:
-        """Places of the quantities of which only one search found an extremum."""
-        return [
-            i
-            for i in range(len(self._quantities))
-            if any(self.side(i, sign).n_agreeing < 2 for sign in SIGNS)
-        ]
+    def doubtful(self) -> list[Side]:
+        """The extrema that only one search found."""
+        return [side for side in self._ends if self.side(*side).n_agreeing < 2]
+
+    def exceeded(self, values: Array) -> list[Side]:
+        """The extrema that points inside lie beyond, all quantities there given."""
+        found = []
+        for i, sign in self._ends:
+            low, high = (self.side(i, x).value for x in SIGNS)
+            beyond = sign * values[:, i] - max(sign * low, sign * high)
+            if np.nanmax(beyond, initial=-np.inf) > INSIDE_TOLERANCE * (high - low):
+                found.append((i, sign))
+        return found
 
     def side(self, quantity: int, sign: float) -> Extremum:
         """The smallest (sign -1) or largest (1) value that the searches found."""
@@ -574,13 +582,13 @@ def equivalents(
     parameters = region.problem.parameters
     own = [ParameterQuantity(parameters=parameters, name=name) for name in parameters.names]
     searches = RegionSearches(region, [*own, *quantities], executor, store)
-    everything = range(len(own) + len(quantities))
+    everything = [(i, sign) for i in range(len(own) + len(quantities)) for sign in SIGNS]
     fit = searches.pool
     at_fit = searches.measured(fit, "fit")[1]
     for quantity, value in zip(quantities, at_fit[0, parameters.n :], strict=True):
         if not np.isfinite(value):
             raise unpredicted(quantity)
-    searches.extremes(range(parameters.n), fit, at_fit, "first extrema")
+    searches.extremes(everything[: 2 * parameters.n], fit, at_fit, "first extrema")
     searches.pairs(searches.axis_pairs() + searches.far_pairs(), "first pairs")
     chosen = origins = fit
     for number, round_seed in enumerate(spawn_seeds(seed, MOST_ROUNDS)):
@@ -594,6 +602,8 @@ def equivalents(
         if number and len(chosen) == n_sets:
             break
     blocks, values = searches.measured(chosen, "sets")
+    if beyond := searches.exceeded(values):
+        searches.extremes(beyond, np.vstack([fit, chosen]), np.vstack([at_fit, values]), "beyond")
     diameter, pair = searches.farthest_pair
     return EquivalentSets(
         parameter_names=parameters.names,

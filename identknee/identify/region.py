@@ -1,6 +1,6 @@
 """The region of parameter sets with predictions equivalent to a given one's, and extrema in it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import unique
 from typing import Protocol
 
@@ -286,13 +286,18 @@ INSIDE_TOLERANCE = 1e-6
 # Gain, in half-widths of the quantity's range in the linear model of the region.
 GAIN_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-6
-LIMIT_TOLERANCE = 1e-5
+LIMIT_TOLERANCE = 1e-3
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 2.0, 64.0, 1e-7
 ACCEPTED, GOOD, POOR = 0.05, 0.6, 0.25
 # The price of leaving the region, in multiples of what it gains: as little above 1 as keeps a
 # search from ending outside, because along a curved boundary every step leaves a little.
 PRICE, LOWEST_PRICE, HIGHEST_PRICE = 1.2, 1e-2, 1e2
 MAX_STEPS = 200
+# A search that moves by less than this, in half-widths of the quantity's range, in so many steps
+# creeps along kinks: in all its steps it would gain a few thousandths of the range.
+CREEP_STEPS, CREEP_GAIN = 15, 5e-4
+# Shares of the way back inside that are tried, in multiples of the excess.
+PULLED_BACK = 4.0 ** np.arange(1, 8)
 TINY = float(np.finfo(float).tiny)
 
 
@@ -304,6 +309,7 @@ class ExtremumEnd(WithSentence):
     BOUND = ("bound", "Only the parameter bounds limit it; the data do not.")
     INTERIOR = ("interior", "A local extremum inside the region, away from its limit and bounds.")
     CLIFF = ("cliff", "The model has no equilibrium beyond; the range may be wider.")
+    CREASE = ("crease", "The search crept along creases; the range may be a little wider.")
     BUDGET = ("budget", "The search reached its step limit; the range may be wider.")
 
 
@@ -361,9 +367,12 @@ def extremise(
         raise ValueError("the search for an extremum must start where there is a prediction")
     best, end = search.climb(here)
     if end not in {ExtremumEnd.CLIFF, ExtremumEnd.BUDGET}:
-        end = ExtremumEnd.BOUND if at_bounds(best.theta, inside).any() else ExtremumEnd.INTERIOR
         if best.blocks.largest >= 1.0 - LIMIT_TOLERANCE:
             end = ExtremumEnd.LIMIT
+        elif at_bounds(best.theta, inside).any():
+            end = ExtremumEnd.BOUND
+        elif end is not ExtremumEnd.CREASE:
+            end = ExtremumEnd.INTERIOR
     return Extreme(
         theta=best.theta,
         value=best.value,
@@ -445,9 +454,17 @@ class _Search:
         reach = np.sqrt(len(slopes)) * np.abs(right @ slope) / known
         box = np.abs(slope) @ ((inside.upper - inside.lower) / (2.0 * steps))
         self._unit = min(float(np.linalg.norm(reach)), float(box))
-        for _ in range(MAX_STEPS):
+        passed: list[_Point] = []
+        last_cliff = -CREEP_STEPS
+        for k in range(MAX_STEPS):
             if self._unit == 0.0:
                 return best, ExtremumEnd.INTERIOR
+            passed.append(here)
+            if self._creeps(passed):
+                best = self._pulled_back(here, best)
+                is_inside = best.blocks.largest < 1.0 - LIMIT_TOLERANCE
+                is_cliff = is_inside and k - last_cliff < CREEP_STEPS
+                return best, ExtremumEnd.CLIFF if is_cliff else ExtremumEnd.CREASE
             # The model's best step in typical steps, and its predicted gain.
             model = LocalModel(
                 gain=self._sign * here.gradient * steps / self._unit,
@@ -480,10 +497,31 @@ class _Search:
                     is_better = is_first or self._sign * (here.value - best.value) >= 0
                 best = here if is_better else best
                 continue
-            met_cliff |= there is None
+            if there is None:
+                met_cliff, last_cliff = True, k
             if radius < SMALLEST_RADIUS:
                 return best, ExtremumEnd.CLIFF if met_cliff else ExtremumEnd.LIMIT
-        return best, ExtremumEnd.BUDGET
+        return self._pulled_back(here, best), ExtremumEnd.BUDGET
+
+    def _creeps(self, passed: Sequence[_Point]) -> bool:
+        """Whether the last steps led next to nowhere."""
+        if len(passed) <= CREEP_STEPS:
+            return False
+        values = np.array(
+            [[x.value / self._unit, self._price * x.excess] for x in passed[-1 - CREEP_STEPS :]]
+        )
+        return bool(np.all(np.ptp(values, axis=0) < CREEP_GAIN))
+
+    def _pulled_back(self, here: _Point, best: _Point) -> _Point:
+        """The better of `best` and a point inside just beside `here`, which may lie outside."""
+        if here.excess <= INSIDE_TOLERANCE or best.excess > INSIDE_TOLERANCE:
+            return best
+        for share in here.excess * PULLED_BACK:
+            there = self.point(here.theta + min(share, 1.0) * (best.theta - here.theta))
+            if there is not None and there.excess <= INSIDE_TOLERANCE:
+                self.path.append(there.theta)
+                return there if self._sign * (there.value - best.value) > 0 else best
+        return best
 
     def _merit(self, point: _Point) -> float:
         return self._sign * point.value / self._unit - self._price * point.excess

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
 
-from identknee.calibrate.problem import UserQuantity
+from identknee.calibrate.problem import ParameterQuantity, UserQuantity
 from identknee.identify.equivalents import (
     SEPARATION,
     Completeness,
     EquivalentSets,
+    RegionSearches,
     equivalents,
 )
 from identknee.identify.region import (
@@ -19,7 +20,7 @@ from identknee.identify.region import (
     power_of_best_test,
 )
 from identknee.runs.arrays import Array
-from identknee.runs.executors import process_pool
+from identknee.runs.executors import process_pool, serial
 from identknee.runs.store import open_work
 
 # A search ends where a step predicts less than 1e-8 of the range: the value is that close, the
@@ -234,3 +235,23 @@ def test_power_grows_with_the_distance_and_not_with_its_square(
 ) -> None:
     """Of a one-sided test at 5 %: P(Z > 1.645 - D), by tables of the normal distribution."""
     assert power_of_best_test(squared) == pytest.approx(power, abs=1e-4)
+
+
+def test_an_extremum_is_searched_again_from_a_point_that_lies_beyond_it() -> None:
+    region, _ = ellipsoid()
+    quantity = ParameterQuantity(
+        parameters=region.problem.parameters, name=region.problem.parameters.names[0]
+    )
+    searches = RegionSearches(region, [quantity], serial, None)
+    at_fit = searches.measured(searches.pool, "fit")[1]
+    searches.extremes([(0, -1.0), (0, 1.0)], searches.pool, at_fit, "first")
+    low, high = (searches.side(0, x).value for x in (-1.0, 1.0))
+    assert searches.exceeded(np.array([[low], [high], [np.nan]])) == []
+    assert searches.exceeded(np.array([[low], [high + 0.01]])) == [(0, 1.0)]
+    # A search from the fit is done once.
+    assert searches.side(0, 1.0).n_searches == 1
+    assert searches.doubtful() == [(0, -1.0), (0, 1.0)]
+    starts = np.vstack([region.center, region.center + 0.01])
+    searches.extremes([(0, 1.0)], starts, np.array([at_fit[0], at_fit[0] + 0.01]), "more")
+    assert searches.side(0, 1.0).n_searches == searches.side(0, 1.0).n_agreeing == 2
+    assert searches.doubtful() == [(0, -1.0)]

@@ -1,5 +1,7 @@
 """Extrema over a region, against formulas, a global search and profiles."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 from problems import Cliff, Linear, linear, plain_parameters, rosenbrock, sloppy_springs
@@ -8,12 +10,15 @@ from scipy.optimize import differential_evolution
 from identknee.calibrate.bounded_least_squares import solve_constrained
 from identknee.calibrate.problem import Evaluator, ParameterQuantity, UserQuantity
 from identknee.identify.region import (
+    INSIDE_TOLERANCE,
+    Extreme,
     ExtremumEnd,
     RegionView,
     extremise,
     farthest_pair,
     noise_region,
 )
+from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 
 VALUE = 1e-6
@@ -126,3 +131,50 @@ def test_a_start_without_prediction_is_refused() -> None:
 
 def test_every_end_has_a_sentence() -> None:
     assert all(end.sentence.endswith(".") for end in ExtremumEnd)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Predictions with a crease along ``y = x^2``, as steep as it is."""
+
+    steepness: float
+    parameters: Parameters = field(default_factory=lambda: plain_parameters(2, -10.0, 10.0))
+
+    def residuals(self, theta: Array) -> Array:
+        """Shape ``(2,)``: the crease, and its other sides."""
+        x, y = theta
+        return np.array([0.1 * x + self.steepness * abs(y - x**2), 0.3 * (y - x**2) + 0.05 * x])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives on the side of the crease on which theta lies."""
+        x, y = theta
+        side = self.steepness * np.where(y > x**2, 1.0, -1.0)
+        return np.array([[0.1 - 2.0 * x * side, side], [0.05 - 0.6 * x, 0.3]])
+
+
+def along_a_crease(steepness: float) -> tuple[Extreme, int]:
+    """The largest x, and the simulations that it took."""
+    problem = Fold(steepness)
+    view = RegionView(noise_region(problem, np.zeros(2)))
+    x = ParameterQuantity(parameters=problem.parameters, name=problem.parameters.names[0])
+    return extremise(view, x, np.zeros(2), sign=1.0), view.n_simulations
+
+
+def test_a_crease_is_followed_to_its_end() -> None:
+    found, _ = along_a_crease(100.0)
+    assert found.end is ExtremumEnd.LIMIT
+    assert found.value == pytest.approx(np.sqrt(10.0), rel=1e-3)
+
+
+def test_a_search_that_creeps_ends_and_says_so() -> None:
+    found, n_simulations = along_a_crease(1e6)
+    assert found.end is ExtremumEnd.CREASE
+    assert n_simulations < 40
+
+
+def test_a_search_that_ends_outside_is_pulled_back_inside() -> None:
+    """It stops at 0.633, just beyond the limit, and was last inside at 0.492."""
+    found, _ = along_a_crease(10.0**3.5)
+    assert found.end is ExtremumEnd.BUDGET
+    assert found.value > 0.63
+    assert found.largest <= 1.0 + INSIDE_TOLERANCE
