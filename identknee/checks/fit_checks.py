@@ -33,7 +33,7 @@ from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding, finding, without_repeats
+from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.runs.words import (
     amount,
     error_words,
@@ -75,29 +75,23 @@ def misfit_probability(square: float, n_values: int, n_parameters: int) -> float
     return float(chdtrc(degrees, square))
 
 
-def conditional_findings(
-    square: float, n_values: int, n_parameters: int, *, threshold: float
-) -> tuple[Finding, ...]:
+def conditional_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
     """Whether data and priors of nuisances reject a fit, so that its intervals are conditional.
+
+    What is improbable at 0.001 is rejected at 0.05, and said once; what is gross is said too.
 
     Parameters
     ----------
     square, n_values, n_parameters
         As in `misfit_findings`.
-    threshold
-        Rise of the deviance that bounds the intervals.
     """
     p = misfit_probability(square, n_values, n_parameters)
     if p >= REJECTED:
         return ()
-    values = {
-        "n": n_values,
-        "deviance": square,
-        "p": p,
-        "threshold": threshold,
-        "command": "identknee diagnose",
-    }
-    return (finding("conditional-on-misfit", "data", values),)
+    values = {"n": n_values, "deviance": square, "p": p, "command": "identknee diagnose"}
+    more = misfit_findings(square, n_values, n_parameters)
+    gross = (x for x in more if x.severity is Severity.ERROR)
+    return (finding("conditional-on-misfit", "data", values), *gross)
 
 
 def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:

@@ -25,7 +25,6 @@ from identknee.report.presenter import (
     statements_of,
 )
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import doubt_of
 from identknee.runs.record import Outcome
 from identknee.runs.words import (
     amount,
@@ -188,21 +187,35 @@ def _scaled(x: Range) -> tuple[float | None, float | None]:
 def ranges_of(answers: Sequence[Answer]) -> dict[str, list[Range]]:
     """By the name of a parameter or force, what each method says of it, the most informative first.
 
-    If two answers are of one kind, the later counts.
+    If two answers are of one kind, the later counts. Nothing is known at a fit that is rejected or
+    implausible, by an answer's own findings or by a diagnosis of the same knee.
     """
     found: dict[str, dict[Source, Range]] = {}
+    diagnoses = of_type(answers, Diagnosis)
     for answer in answers:
-        doubt = doubt_of(answer.findings)
-        for name, own in presenter_of(answer).ranges(answer):
+        presenter = presenter_of(answer)
+        rejected = next((x.doubt_before for x in diagnoses[-1:] if _same_knee(x, answer)), None)
+        for name, own in presenter.ranges(answer):
             shown = own
-            if doubt is not None and own.status in KNOWN:
-                shown = replace(own, status=doubt.value)
+            if own.status in KNOWN:
+                doubt = presenter.doubt(answer, own.source)
+                doubt = doubt or (None if own.source is Source.CAUSE else rejected)
+                shown = own if doubt is None else replace(own, status=doubt)
             found.setdefault(name, {})[own.source] = shown
     order = list(Source)
     return {
         name: sorted(by_source.values(), key=lambda x: order.index(x.source))
         for name, by_source in found.items()
     }
+
+
+def _same_knee(one: Answer, other: Answer) -> bool:
+    """Whether two answers are of the same knee and data; of those without record it is supposed."""
+    inputs = [{} if x.record is None else x.record.inputs for x in (one, other)]
+    return not any(
+        (first := inputs[0].get(x)) and (second := inputs[1].get(x)) and first != second
+        for x in ("subject", "data")
+    )
 
 
 # More fits than these are given as a range.

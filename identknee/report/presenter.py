@@ -12,7 +12,7 @@ from identknee.laxity.protocol import Protocol
 from identknee.report.tables import Table
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.runs.findings import Finding
+from identknee.runs.findings import Finding, doubt_of
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
@@ -218,6 +218,11 @@ class Presenter(Generic[Given]):
     def ranges(self, _answer: Given) -> Iterator[tuple[str, Range]]:
         """Parameters and forces, by its name."""
         yield from ()
+
+    def doubt(self, answer: Given, _source: Source) -> str | None:
+        """Why nothing that a method of the answer says is known; None where nothing says so."""
+        found = doubt_of(answer.findings)
+        return None if found is None else found.value
 
     def next_tests(self, answer: Given) -> Iterator[str]:
         """Advised tests, and what each would bring."""

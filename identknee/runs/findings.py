@@ -49,6 +49,7 @@ class Doubt(Enum):
 
     MISFIT = "conditional on misfit"
     IMPLAUSIBLE = "at an implausible fit"
+    CAUSE = "conditional on the cause"
 
 
 @declared
@@ -226,12 +227,12 @@ _ALL = (
         severity=WARNING,
         about=About.FIT,
         doubt=Doubt.MISFIT,
-        meaning="The data and the priors of nuisances reject the best fit (p < 0.05), so that the "
-        "intervals of a profile hold only as far as that misfit does not matter.",
-        remedy="Run identknee diagnose, and profile again with the cause that it names.",
+        meaning="The data and the priors of nuisances reject the best fit (p < 0.05), so that "
+        "intervals hold only as far as that misfit does not matter.",
+        remedy="Run identknee diagnose, and ask again with the cause that it names.",
         template="The model leaves more misfit than the noise: deviance {deviance:.4g} of {n} "
-        "measured values, p = {p:.2g}. As long as it does, the threshold of {threshold:.2f} means "
-        "nothing, and no value is known. Next: {command}",
+        "measured values, p = {p:.2g}. As long as it does, no interval holds and no value is "
+        "known. Next: {command}",
     ),
     FindingKind(
         code="misfit-gross",

@@ -42,7 +42,7 @@ from identknee.diagnosis.gain import (
     Rmse,
 )
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
-from identknee.diagnosis.misfit import CellScore, ResidualTest
+from identknee.diagnosis.misfit import LEVEL, CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, LineFinding, Pull
 from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
 from identknee.identify.laplace import Interval
@@ -53,10 +53,10 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.executors import Executor
 from identknee.runs.files import write_atomically
-from identknee.runs.findings import Finding, finding, without_repeats
+from identknee.runs.findings import Doubt, Finding, doubt_of, finding, without_repeats
 from identknee.runs.progress import planned, stage
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
@@ -445,6 +445,25 @@ class Diagnosis(Answer):
         """Infinite: its deviance is in units of the noise found, and compares with no other's."""
         return float("inf")
 
+    @property
+    @derived("Why no value without the causes is known, in words; null where nothing says so")
+    def doubt_before(self) -> str | None:
+        """Data that reject the model make its values conditional on the misfit."""
+        if self.p_value is not None and self.p_value <= LEVEL:
+            return Doubt.MISFIT.value
+        return _words(None if self.causes else doubt_of(self.findings))
+
+    @property
+    @derived("Why no value with the causes is known; null where nothing says so or without a cause")
+    def doubt_after(self) -> str | None:
+        """Only the causes of a named diagnosis, in a model that fits with them, are no proviso."""
+        if not self.causes:
+            return None
+        if self.misfit is not None and self.misfit.p_value_after <= LEVEL:
+            return Doubt.MISFIT.value
+        is_named = self.verdict is Verdict.NAMED
+        return _words(doubt_of(self.findings) or (None if is_named else Doubt.CAUSE))
+
     def __post_init__(self) -> None:
         trees = (
             self.parameters_before,
@@ -470,6 +489,10 @@ class Diagnosis(Answer):
     def extended_knee(self, knee: Knee) -> Knee:
         """The subject with the causes found, for every other calculation."""
         return knee.with_effects([_choice(x, knee) for x in self.extension])
+
+
+def _words(doubt: Doubt | None) -> str | None:
+    return None if doubt is None else doubt.value
 
 
 def _choice(effect: AddedEffect, knee: Knee) -> EffectChoice:

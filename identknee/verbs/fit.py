@@ -37,6 +37,7 @@ from identknee.checks.fit_checks import (
     bound_findings,
     check_fit,
     check_unfitted,
+    conditional_findings,
     idle_parameters,
     misfit_findings,
     start_findings,
@@ -689,7 +690,8 @@ def _findings(
     if laxity.sd is not None and not np.isnan(laxity.sd[laxity.is_measured]).any():
         weighted = replace(trials, weighting="noise").residuals(laxity)
         square = misfit_square(with_other_terms(weighted), found.theta)
-        misfit = misfit_findings(square, laxity.n_values, n_free)
+        judged = square, laxity.n_values, n_free
+        misfit = misfit_findings(*judged) or conditional_findings(*judged)
     else:
         misfit = unstated_misfit_findings(error.mm, error.deg)
     held = (*found.fixed, *found.parameters.nuisance_names)

@@ -13,7 +13,6 @@ from identknee.calibrate.problem import (
     RestrictedProblem,
     WhitenedResiduals,
     evidence_terms,
-    misfit_square,
     restricted,
     with_all_priors,
     with_bounds,
@@ -26,7 +25,6 @@ from identknee.checks.fit_checks import (
     conditional_findings,
     feasibility_findings,
     idle_parameters,
-    misfit_findings,
     nuisance_findings,
     start_findings,
     unstated_misfit_findings,
@@ -149,7 +147,7 @@ class Identification:
         deviance -= sum(x.deviance for x in terms if x.name in BELIEFS)
         if self.degrees_of_freedom is None:
             n = self.laxity.n_values
-            misfit = misfit_findings(deviance, n, int(parameters.is_of_interest.sum()))
+            misfit = conditional_findings(deviance, n, int(parameters.is_of_interest.sum()))
         else:
             # That the noise was estimated is among the assumptions.
             left = unstated_misfit_findings(*self.estimated_noise)
@@ -174,14 +172,6 @@ class Identification:
             misfit=(*misfit, *bounds),
         )
         return check_fit(fitted, others)
-
-    def conditional_at(self, theta: Array, threshold: float) -> tuple[Finding, ...]:
-        """Whether data and priors of nuisances reject the best fit; none of an estimated noise."""
-        if self.degrees_of_freedom is not None:
-            return ()
-        asked = int(self.problem.parameters.is_of_interest.sum())
-        square, n = misfit_square(self.problem, theta), self.laxity.n_values
-        return conditional_findings(square, n, asked, threshold=threshold)
 
     def uncertain_at(self, theta: Array) -> dict[str, Any]:
         """What an answer rests on: its trials, and what of geometry and tests is uncertain."""

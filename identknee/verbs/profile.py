@@ -31,7 +31,7 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import force_names, quantity_named
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
-from identknee.runs.findings import Doubt, without_repeats
+from identknee.runs.findings import Doubt, Finding
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import Identification, best_fits, identification
@@ -232,20 +232,8 @@ def profile(
         thresholds=thresholds,
     )
     best = min(profiles, key=lambda x: x.deviance)
-    conditional = setup.conditional_at(best.optimum, threshold)
-    found = setup.findings_at(best.optimum, best.deviance, fits)
-    # What is improbable at 0.001 is rejected at 0.05, and said once.
-    others = [x for x in found if not (conditional and x.code == "misfit-improbable")]
-    findings = without_repeats((*conditional, *others))
-    doubts = {x.kind.doubt for x in findings}
-    profiles = tuple(
-        replace(
-            x,
-            conditional_on_misfit=Doubt.MISFIT in doubts,
-            at_implausible_fit=Doubt.IMPLAUSIBLE in doubts,
-        )
-        for x in profiles
-    )
+    findings = setup.findings_at(best.optimum, best.deviance, fits)
+    profiles = tuple(_with_doubts(x, findings) for x in profiles)
     names = setup.problem.parameters.names
     left_open = [
         x.name for x in profiles if x.name in names and x.verdict is not ProfileVerdict.IDENTIFIABLE
@@ -255,7 +243,12 @@ def profile(
         quantities={x.name: x for x in profiles if x.name not in names},
         with_priors={}
         if priors is not None
-        else _with_priors(run, setup, fits, left_open, seed=seed, level=level, budget=budget),
+        else {
+            name: _with_doubts(x, findings)
+            for name, x in _with_priors(
+                run, setup, fits, left_open, seed=seed, level=level, budget=budget
+            ).items()
+        },
         pairs=tuple(
             profile_pair(
                 setup.problem,
@@ -275,6 +268,16 @@ def profile(
         assumptions=setup.assumptions,
         **setup.uncertain_at(best.optimum),
         findings=findings,
+    )
+
+
+def _with_doubts(profile: Profile, findings: Sequence[Finding]) -> Profile:
+    """The profile with why nothing is known at its fit; priors of ligaments fit no better."""
+    doubts = {x.kind.doubt for x in findings}
+    return replace(
+        profile,
+        conditional_on_misfit=Doubt.MISFIT in doubts,
+        at_implausible_fit=Doubt.IMPLAUSIBLE in doubts,
     )
 
 

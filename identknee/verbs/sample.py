@@ -590,7 +590,7 @@ def sample(
             "quantities": predicted_marginals(predicted),
             "cells": measured_cells(residuals, predicted, seed),
             "nested": _nested(setup, posterior, seed) if nested else None,
-            **_at_best_fit(setup, posterior),
+            **at_best_fit(setup, posterior),
         }
     is_estimated = setup.degrees_of_freedom is not None
     return as_answer(
@@ -644,11 +644,13 @@ def _optima(path: Path, parameters: Parameters) -> Array:
     return np.array(thetas)
 
 
-def _at_best_fit(setup: Identification, posterior: Posterior) -> dict[str, Any]:
-    """Terms of the deviance, and findings, at the optimum that the likeliest draw leads to."""
-    likeliest = int(np.argmax(posterior.kept_log_likelihood))
-    start = posterior.kept.reshape(-1, posterior.kept.shape[-1])[likeliest]
-    best = fit(setup.problem, start)
+def at_best_fit(setup: Identification, posterior: Posterior) -> dict[str, Any]:
+    """Terms of the deviance, and findings, at the best fit that walkers began at or came by."""
+    likeliest = int(np.argmax(posterior.kept_log_likelihood + posterior.kept_log_prior))
+    drawn = posterior.kept.reshape(-1, posterior.kept.shape[-1])[likeliest]
+    best = min(
+        (fit(setup.problem, x) for x in (*posterior.optima, drawn)), key=lambda x: x.objective
+    )
     return {
         "evidence": evidence_terms(setup.problem, best.theta),
         "findings": setup.findings_at(best.theta, best.deviance),

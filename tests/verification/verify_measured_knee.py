@@ -43,6 +43,8 @@ OPTIONS: Mapping[str, Mapping[str, Any]] = {
 }
 # A sweep of 200 starts and a sample to its gate are asked for more than the defaults.
 NOT_TIMED = ("sweep", "sample")
+# What takes longest, so that an interrupted run has all else.
+LAST = (("s192803", "sweep"), ("s192803_bundles", "sweep"), ("s192803_bundles", "sample"))
 # Verbs that are asked with the priors of ligament parameters.
 WITH_PRIORS = ("fit --priors", "sample")
 # What has no best fit of the data in units of the noise that was stated.
@@ -51,7 +53,7 @@ WITHOUT_FIT = ("sensitivity", "diagnose")
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
     """Deviance of the best fit and time by verb, ends of a sweep, and groups with an index."""
-    tasks = [(knee, verb) for verb in VERBS for knee in KNEES]
+    tasks = sorted(((knee, verb) for verb in VERBS for knee in KNEES), key=lambda x: x in LAST)
     if known := _known():
         yield _row(known)
     for task in tasks:

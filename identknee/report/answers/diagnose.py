@@ -585,6 +585,10 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
                     )
 
     @override
+    def doubt(self, answer: Diagnosis, source: Source) -> str | None:
+        return answer.doubt_after if source is Source.CAUSE else answer.doubt_before
+
+    @override
     def protocol(self, answer: Diagnosis) -> Protocol | None:
         return None if answer.trials is None else answer.trials.protocol
 

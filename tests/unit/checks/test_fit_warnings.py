@@ -60,19 +60,20 @@ def test_a_misfit_is_judged_by_the_chi_square_of_what_is_left() -> None:
 
 def test_intervals_are_conditional_where_one_fit_in_twenty_would_leave_so_much() -> None:
     limit = float(stats.chi2.isf(0.05, 90))
-    assert conditional_findings(0.999 * limit, 100, 10, threshold=3.84) == ()
-    (found,) = conditional_findings(1.001 * limit, 100, 10, threshold=3.84)
+    assert conditional_findings(0.999 * limit, 100, 10) == ()
+    (found,) = conditional_findings(1.001 * limit, 100, 10)
     assert found.code == "conditional-on-misfit"
     assert found.kind.doubt is Doubt.MISFIT
     assert found.values["n"] == 100
     assert found.values["deviance"] == 1.001 * limit
     assert found.values["p"] == pytest.approx(stats.chi2.sf(1.001 * limit, 90))
-    assert found.values["threshold"] == 3.84
+    both = conditional_findings(9.1 * 90, 100, 10)
+    assert [x.code for x in both] == ["conditional-on-misfit", "misfit-gross"]
     assert misfit_probability(1e6, 8, 8) == misfit_probability(np.inf, 100, 8) == 1.0
 
 
 def test_the_gravest_doubt_of_findings_is_theirs() -> None:
-    (misfit,) = conditional_findings(1e3, 100, 10, threshold=3.84)
+    (misfit,) = conditional_findings(300.0, 100, 10)
     contact = finding(
         "one-sided-contact",
         "contact",

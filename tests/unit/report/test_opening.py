@@ -7,14 +7,17 @@ from typing import Any
 
 from bs4 import BeautifulSoup
 
+from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.profile import profile_range
 from identknee.report.opening import opening_of
 from identknee.report.overview import Tone, overview, ranges_of
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
+from identknee.report.presenter import Source
 from identknee.report.printer import full_text, short_text
 from identknee.runs.findings import Doubt, Finding, Severity, finding
 from identknee.verbs.answer import Answer
+from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import load
 from identknee.verbs.profile import Profiles
 
@@ -22,7 +25,7 @@ STORED = Path(__file__).parents[2] / "fuzz" / "results"
 MISFIT = finding(
     "conditional-on-misfit",
     "data",
-    {"n": 45, "deviance": 102.1, "p": 1e-6, "threshold": 3.84, "command": "identknee diagnose"},
+    {"n": 45, "deviance": 102.1, "p": 1e-6, "command": "identknee diagnose"},
 )
 IMPROBABLE = finding("misfit-improbable", "data", {"ratio": 2.0}, sentence="Twice the misfit.")
 GROSS = finding("misfit-gross", "data", {"ratio": 10.0}, sentence="Ten times the misfit.")
@@ -140,6 +143,55 @@ def test_no_status_beside_a_doubt_is_known() -> None:
     local = replace(load(STORED / "information"), findings=(MISFIT,))
     statuses = {x.status for own in ranges_of([local]).values() for x in own}
     assert not statuses & {"known", "known locally", "probable"}
+
+
+def _statuses(*answers: Answer) -> dict[Source, set[str]]:
+    found: dict[Source, set[str]] = {}
+    for own in ranges_of(answers).values():
+        for x in own:
+            found.setdefault(x.source, set()).add(x.status)
+    return found
+
+
+def _of_inputs(answer: Answer, **inputs: str) -> Answer:
+    assert answer.record is not None
+    return replace(answer, record=replace(answer.record, inputs={**answer.record.inputs, **inputs}))
+
+
+def test_a_diagnosis_that_rejects_the_model_leaves_nothing_known_without_the_cause() -> None:
+    """Only a named cause in a model that fits with it is no proviso."""
+    named = load(STORED / "diagnose")
+    assert isinstance(named, Diagnosis)
+    assert named.misfit is not None
+    assert named.record is not None
+    profiles = _of_inputs(_profiles(), **named.record.inputs)
+    statuses = _statuses(named, profiles)
+    assert "known" in statuses[Source.CAUSE]
+    for source in (Source.DIAGNOSIS, Source.PROFILE):
+        assert Doubt.MISFIT.value in statuses[source]
+        assert "known" not in statuses[source]
+    assert named.doubt_before == Doubt.MISFIT.value
+    assert named.doubt_after is None
+    ambiguous = replace(named, verdict=Verdict.AMBIGUOUS)
+    assert "known" not in _statuses(ambiguous)[Source.CAUSE]
+    assert ambiguous.doubt_after == Doubt.CAUSE.value
+    assert replace(named, findings=(_force("MCL", 1262.0),)).doubt_after == Doubt.IMPLAUSIBLE.value
+    left = replace(named, misfit=replace(named.misfit, p_value_after=0.01))
+    assert left.doubt_after == Doubt.MISFIT.value
+
+    adequate = replace(named, verdict=Verdict.ADEQUATE, p_value=0.4, causes=())
+    assert adequate.doubt_before is adequate.doubt_after is None
+    assert "known" in _statuses(adequate, profiles)[Source.PROFILE]
+    odd = replace(adequate, findings=(_force("MCL", 1262.0),))
+    assert "known" not in _statuses(odd)[Source.DIAGNOSIS]
+
+
+def test_a_diagnosis_of_another_knee_says_nothing_of_this_one() -> None:
+    diagnosis = load(STORED / "diagnose")
+    assert diagnosis.record is not None
+    for name in ("subject", "data"):
+        other = _of_inputs(_profiles(), **{**diagnosis.record.inputs, name: "another"})
+        assert "known" in _statuses(diagnosis, other)[Source.PROFILE]
 
 
 def test_the_page_opens_with_it() -> None:

@@ -1,8 +1,10 @@
 """The answer of a sample: what it holds, and that files give it back."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from report_folders import write_given
 
 from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import sample
+from identknee.model.parameters import Parameters
 from identknee.report.printer import terminal_lines
-from identknee.runs.findings import finding
+from identknee.runs.arrays import Array
+from identknee.runs.findings import Finding, finding
 from identknee.runs.schema import summary_of, to_plain
 from identknee.verbs.files import groups_of, load
-from identknee.verbs.sample import Nested, Sample, as_answer
+from identknee.verbs.identification import Identification
+from identknee.verbs.sample import Nested, Sample, as_answer, at_best_fit
 
 LOST = finding("no-prediction", "trials", sentence="no prediction")
 
@@ -100,3 +105,40 @@ def test_without_a_sample_there_is_still_a_summary() -> None:
 def test_a_budget_that_ran_out_is_in_the_summary(posterior: Posterior) -> None:
     stopped = replace(posterior, outcome=SampleOutcome.BUDGET)
     assert summary_of(as_answer(stopped))["sentence"] == SampleOutcome.BUDGET.sentence
+
+
+@dataclass(frozen=True)
+class TwoMinima:
+    """A minimum of 0 where x is -1, and a higher one near 1."""
+
+    parameters: Parameters = field(default_factory=lambda: plain_parameters(2, -50.0, 50.0))
+
+    def residuals(self, theta: Array) -> Array:
+        """Shape ``(3,)``."""
+        x, y = theta
+        return np.array([x**2 - 1.0, 0.3 * (x + 1.0), y + 1.0])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Shape ``(3, 2)``."""
+        return np.array([[2.0 * theta[0], 0.0], [0.3, 0.0], [0.0, 1.0]])
+
+
+def test_the_best_fit_is_the_lowest_that_walkers_began_at_or_came_by(posterior: Posterior) -> None:
+    """All draws lie beside the higher minimum."""
+    looked_at: list[float] = []
+
+    def findings_at(theta: Array, deviance: float) -> tuple[Finding, ...]:
+        looked_at.extend([theta[0], deviance])
+        return (LOST,)
+
+    setup = SimpleNamespace(problem=TwoMinima(), findings_at=findings_at)
+    # Where 4 x (x - 1) = -0.18.
+    higher = (1.0 + np.sqrt(0.82)) / 2.0
+    left = (higher**2 - 1.0) ** 2 + 0.09 * (higher + 1.0) ** 2
+    for begun, place, deviance in ((-1.0, -1.0, 0.0), (1.0, higher, left)):
+        looked_at.clear()
+        found = at_best_fit(
+            cast(Identification, setup), replace(posterior, optima=np.array([[begun, -1.0]]))
+        )
+        assert looked_at == pytest.approx([place, deviance], abs=1e-6)
+        assert found["findings"] == (LOST,)
