@@ -736,6 +736,13 @@ def ligament_estimates(refit: Refit) -> dict[str, dict[str, Estimate]]:
     return tree
 
 
+def made_by_priors(refit: Refit) -> tuple[str, ...]:
+    """The ligaments' parameters whose interval priors make more than the data."""
+    model = refit.fitted.model
+    own = posterior_of(refit.fitted).made_by_priors()[: model.n_ligament_parameters]
+    return tuple(model.parameters.names[i] for i in np.flatnonzero(own))
+
+
 def _cause(refit: Refit, name: str, posterior: Laplace, covariance: np.ndarray) -> Cause:
     parameters, places = refit.fitted.model.parameters, refit.places(name)
     found = tuple(_estimate(parameters.names[i], int(i), posterior) for i in places)

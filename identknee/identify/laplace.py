@@ -177,6 +177,8 @@ def _within(low: Array, high: Array, share: Array) -> Array:
     return np.asarray(np.where(mirrored, -found, found))
 
 
+# Of the rise of the deviance: an interval of which priors make more is theirs.
+MOST = 0.5
 # Share of a standard deviation that rounding may move an end by.
 ROUNDING = 1e-9
 
@@ -239,6 +241,16 @@ class Laplace:
         if i not in self._intervals:
             self._intervals[i] = self._computed(i)
         return self._intervals[i]
+
+    def made_by_priors(self) -> BoolArray:
+        """Whose interval priors make more than the data, shape ``(p,)``, to first order.
+
+        They make more than half of the rise of the deviance on the way to its ends, the others
+        refitted. Priors of nuisances are stated errors of the data, and count as these do.
+        """
+        covariance, is_belief = self._near.covariance, self._parameters.is_of_interest
+        share = (covariance[is_belief] ** 2).sum(axis=0) / np.diag(covariance)
+        return np.asarray(share > MOST)
 
     @cached_property
     def _intervals(self) -> dict[int, Interval]:

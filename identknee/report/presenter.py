@@ -88,6 +88,7 @@ class Drawing:
 # Of a normal distribution, half of its central 95 %.
 SDS_95 = 1.96
 NOT_CONVERGED = "not converged"
+CLOSED, BY_ASSUMPTION = "known", "bounded by assumption"
 
 
 @unique
@@ -141,7 +142,7 @@ def open_ends_text(low: float | None, high: float | None) -> str:
     """
     if low is None:
         return "not known" if high is None else "open below"
-    return "open above" if high is None else "known"
+    return "open above" if high is None else CLOSED
 
 
 Given = TypeVar("Given", bound=Answer)

@@ -44,7 +44,14 @@ from identknee.diagnosis.gain import (
 from identknee.diagnosis.investigation import Investigation, investigate, work_of
 from identknee.diagnosis.misfit import LEVEL, CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, LineFinding, Pull
-from identknee.diagnosis.verdict import Cause, Estimate, Verdict, causes_of, ligament_estimates
+from identknee.diagnosis.verdict import (
+    Cause,
+    Estimate,
+    Verdict,
+    causes_of,
+    ligament_estimates,
+    made_by_priors,
+)
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import shown_flexion, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
@@ -391,6 +398,14 @@ class Diagnosis(Answer):
     )
     parameters_after_ci95: IntervalsByLigament | None = entry(
         "95 % intervals with the causes; an open end is null", unit=OF_PARAMETER, default=None
+    )
+    made_by_priors_before: tuple[str, ...] = entry(
+        "Ligaments' parameters whose interval without causes priors make more than the data",
+        default=(),
+    )
+    made_by_priors_after: tuple[str, ...] = entry(
+        "Ligaments' parameters whose interval with the causes priors make more than the data",
+        default=(),
     )
     effects: Mapping[str, Exclusion] = entry(
         "What the data say of every effect of the library",
@@ -807,6 +822,8 @@ def diagnosis_of(found: Investigation) -> Diagnosis:
         parameters_after=_values(after),
         parameters_before_ci95=_intervals(before),
         parameters_after_ci95=_intervals(after),
+        made_by_priors_before=made_by_priors(base),
+        made_by_priors_after=made_by_priors(best),
         effects={x.name: x for x in found.exclusions},
         trials=trials_of(found.laxity),
         residuals=Residuals(

@@ -23,6 +23,8 @@ from identknee.report.answers.design import sizes_words, trial_table, trials_wor
 from identknee.report.answers.fit import compared_forces_drawing
 from identknee.report.answers.isolability import SIZES, detectable_sizes
 from identknee.report.presenter import (
+    BY_ASSUMPTION,
+    CLOSED,
     Drawing,
     Presenter,
     Question,
@@ -571,18 +573,28 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
 
     @override
     def ranges(self, answer: Diagnosis) -> Iterator[tuple[str, Range]]:
-        pairs = [(Source.DIAGNOSIS, answer.parameters_before, answer.parameters_before_ci95)]
-        if answer.causes:
-            pairs += [(Source.CAUSE, answer.parameters_after, answer.parameters_after_ci95)]
-        for source, values, intervals in pairs:
-            for owner, own in (values or {}).items():
-                for kind, value in own.items():
-                    low, high = (intervals or {})[owner][kind]
-                    status = open_ends_text(low, high)
-                    yield (
-                        f"{owner}.{kind}",
-                        Range(source=source, low=low, high=high, value=value, status=status),
-                    )
+        models = [
+            (
+                Source.DIAGNOSIS,
+                answer.parameters_before,
+                answer.parameters_before_ci95,
+                answer.made_by_priors_before,
+            ),
+            (
+                Source.CAUSE,
+                answer.parameters_after,
+                answer.parameters_after_ci95,
+                answer.made_by_priors_after,
+            ),
+        ]
+        for source, values, intervals, made_by_priors in models[: 2 if answer.causes else 1]:
+            ends = _flat(intervals)
+            for name, value in _flat(values).items():
+                low, high = ends[name]
+                status = open_ends_text(low, high)
+                if status == CLOSED and name in made_by_priors:
+                    status = BY_ASSUMPTION
+                yield name, Range(source=source, low=low, high=high, value=value, status=status)
 
     @override
     def doubt(self, answer: Diagnosis, source: Source) -> str | None:

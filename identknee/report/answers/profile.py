@@ -13,6 +13,8 @@ from identknee.identify.profile.result import (
     SideStatus,
 )
 from identknee.report.presenter import (
+    BY_ASSUMPTION,
+    CLOSED,
     Drawing,
     Presenter,
     Question,
@@ -46,8 +48,8 @@ ASSUMED: Mapping[EndOrigin | None, str] = {
     EndOrigin.LIMIT: "limits of plausibility",
 }
 PROFILE_WORDS = {
-    ProfileVerdict.IDENTIFIABLE: "known",
-    ProfileVerdict.BOUNDED_BY_ASSUMPTION: "bounded by assumption",
+    ProfileVerdict.IDENTIFIABLE: CLOSED,
+    ProfileVerdict.BOUNDED_BY_ASSUMPTION: BY_ASSUMPTION,
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "not known",
     ProfileVerdict.STRUCTURALLY_SUSPECT: "not known",
     ProfileVerdict.MULTIMODAL: "several ranges",

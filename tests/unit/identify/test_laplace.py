@@ -91,6 +91,25 @@ def test_without_bounds_it_is_the_evidence_of_a_linear_model() -> None:
     np.testing.assert_allclose(intervals, np.transpose(ends), rtol=SOLVED)
 
 
+@pytest.mark.parametrize("size", [0.3, 0.6, 1.0, 3.0])
+def test_an_interval_is_of_the_priors_where_they_make_more_of_the_rise(size: float) -> None:
+    made = line([1.0, -0.5, 0.2])
+    made = replace(made, columns=made.columns * np.array([size, 1.0, 1.0]))
+    priors = np.diag(made.parameters.prior_sd**-2.0)
+    data = made.columns.T @ made.columns / SD**2
+    for parameters, own in (
+        (made.parameters, priors),
+        (made.parameters.as_nuisances(), 0.0 * priors),
+    ):
+        # From the best fit to an end with one slope held, along which the others follow.
+        ways = np.linalg.inv(data + priors).T
+        shares = [(x @ own @ x) / (x @ (data + priors) @ x) for x in ways]
+        found = posterior(replace(made, parameters=parameters)).made_by_priors()
+        assert found.tolist() == [x > 0.5 for x in shares]
+    # The smaller the column, the less the data say.
+    assert bool(posterior(made).made_by_priors()[0]) is (size < 0.5)
+
+
 @pytest.mark.parametrize("truth", [2.0, 0.3, -1.0])
 def test_one_bound_is_exact(truth: float) -> None:
     made = line([truth], lower=[0.0])

@@ -182,6 +182,10 @@ def test_a_diagnosis_that_rejects_the_model_leaves_nothing_known_without_the_cau
     adequate = replace(named, verdict=Verdict.ADEQUATE, p_value=0.4, causes=())
     assert adequate.doubt_before is adequate.doubt_after is None
     assert "known" in _statuses(adequate, profiles)[Source.PROFILE]
+    assumed = replace(adequate, made_by_priors_before=("ACL.stiffness_kN",))
+    (acl,) = ranges_of([assumed])["ACL.stiffness_kN"]
+    assert acl.status == "bounded by assumption"
+    assert "known" in _statuses(assumed)[Source.DIAGNOSIS]
     odd = replace(adequate, findings=(_force("MCL", 1262.0),))
     assert "known" not in _statuses(odd)[Source.DIAGNOSIS]
 
