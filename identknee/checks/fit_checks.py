@@ -468,21 +468,41 @@ def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Fi
     )
 
 
-def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
+@declared
+class StrengthTension:
+    """Tension of a ligament, all its parts together, and the load at which such ligaments fail."""
+
+    tension: Array = entry("Tension in each trial [N], shape ``(n,)``")
+    failure_N: float = entry("Mean load at failure", unit="N")  # noqa: N815 - newton
+    source: str = entry("Where that is from")
+
+
+def strength_tensions(model: LaxityModel, tension: Array) -> dict[str, StrengthTension]:
+    """Of each ligament with a published strength what it carries, from the tensions of its parts.
+
+    `tension` has shape ``(n, n_ligaments)``.
+    """
     names = [x.name for x in model.knee.ligaments]
-    strengths = strengths_by_name(model.knee.donor_age)
-    for ligament, (failure, _, source) in strengths.items():
+    found = {}
+    for ligament, (failure, _, source) in strengths_by_name(model.knee.donor_age).items():
         own = [k for k, name in enumerate(names) if name.startswith(ligament)]
-        whole = tension[:, own].sum(axis=1)
-        if not own or np.nanmax(whole) <= BEYOND * failure:
+        if own:
+            whole = tension[:, own].sum(axis=1)
+            found[ligament] = StrengthTension(tension=whole, failure_N=failure, source=source)
+    return found
+
+
+def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
+    for ligament, found in strength_tensions(model, tension).items():
+        if np.nanmax(found.tension) <= BEYOND * found.failure_N:
             continue
-        worst = int(np.nanargmax(whole))
+        worst = int(np.nanargmax(found.tension))
         values = {
             "ligament": ligament,
-            "force_N": whole[worst],
+            "force_N": found.tension[worst],
             "load": load_words(model.protocol, worst),
-            "failure_N": failure,
-            "source": source,
+            "failure_N": found.failure_N,
+            "source": found.source,
         }
         yield finding("implausible-force", ligament, values)
 

@@ -367,6 +367,24 @@ _ALL = (
         distinct=("trials",),
     ),
     FindingKind(
+        code="step-beyond-strength",
+        severity=INFO,
+        about=About.TRIALS,
+        meaning="Steps that a design does not offer, since a ligament would carry more than the "
+        "mean load at which such ligaments fail, and more than in trials that were made.",
+        remedy="Offer such tests with smaller loads as --candidates.",
+        distinct=("trials",),
+    ),
+    FindingKind(
+        code="step-beyond-laxity",
+        severity=INFO,
+        about=About.TRIALS,
+        meaning="Steps that a design does not offer, since the tibia would go farther from its "
+        "unloaded pose than knees are tested, and farther than in trials that were made.",
+        remedy="Offer such tests with smaller loads as --candidates.",
+        distinct=("trials",),
+    ),
+    FindingKind(
         code="unstable-subject",
         severity=WARNING,
         about=About.SUBJECT,

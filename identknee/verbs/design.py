@@ -14,6 +14,12 @@ from identknee.calibrate.problem import (
     WhitenedResiduals,
     value_at,
 )
+from identknee.checks.unborne_trials import (
+    Bearable,
+    UnborneTrial,
+    bearable,
+    unborne_findings,
+)
 from identknee.checks.usable_trials import candidate_path_findings
 from identknee.identify.design import ChosenTrials, linearised, linearised_candidates
 from identknee.identify.design import design as choose_trials
@@ -96,6 +102,9 @@ class Design(Answer):
         "State of the knee in which each of these is to be made; empty where nothing is cut",
         default=(),
     )
+    unborne: tuple[UnborneTrial, ...] = entry(
+        "Trials and other steps that are not offered, since no knee would bear them", default=()
+    )
     degrees_of_freedom: int | None = entry(
         "Degrees of freedom of the noise estimated from the fit; null where the noise is stated"
     )
@@ -154,6 +163,10 @@ class Design(Answer):
         }
 
 
+NONE_BORNE = (
+    "no knee would bear any of the candidate trials as they are predicted; give --candidates with "
+    "smaller loads"
+)
 KINDS, NEVER = ("trial", "error", "cut", "force", "contact"), "never"
 CostsLike = str | Mapping[str, float | str] | None
 
@@ -231,6 +244,7 @@ def design(
     asked = None if candidates is None else read_trials(candidates)
     costs = costs_of(cost)
     lost: tuple[str, ...] = ()
+    is_made = data is not None
     if data is None:
         data, noise = _planned(subject, protocol, noise), None
         lost = lost_plan_sentence(data)
@@ -265,8 +279,13 @@ def design(
         value_at(target, fits[0].theta)
     theta = fits[0].theta
     problem: Problem = setup.problem
+    limits = bearable(setup.model, setup.free.expand(theta), is_made=is_made)
+    offered, unborne = _borne(offered, limits, theta)
+    if not offered.protocol.n:
+        raise ValueError(NONE_BORNE)
     begun: CandidateTrials = offered.with_start_poses(theta)
-    steps, measured = _other_steps(offered, state, costs, theta)
+    steps, measured, unborne_steps = _other_steps(offered, state, costs, limits, theta)
+    unborne = (*unborne, *unborne_steps)
     about_errors = _marginalisation_sentence(setup, wanted)
     if about_errors and setup.model.poses is not None:
         problem, begun = linearised(problem, theta), linearised_candidates(begun, theta)
@@ -299,6 +318,7 @@ def design(
         zero=setup.laxity.zero,
         degrees_of_freedom=degrees,
         states=() if made_in is None else tuple(made_in[i] for i in choice.chosen),
+        unborne=unborne,
         assumptions=(
             *lost,
             *setup.assumptions,
@@ -307,7 +327,10 @@ def design(
             *candidate_path_findings(setup.model),
         ),
         **setup.uncertain_at(theta),
-        findings=setup.findings_at(theta, 2.0 * fits[0].objective, fits),
+        findings=(
+            *setup.findings_at(theta, 2.0 * fits[0].objective, fits),
+            *unborne_findings(unborne),
+        ),
     )
     if run.out is not None:
         write_laxity(answer.to_measure, run.out / ADVICE)
@@ -373,18 +396,46 @@ def lost_plan_sentence(planned: Laxity) -> tuple[str, ...]:
     return (sentence,)
 
 
+def _borne(
+    offered: CandidateLaxity, limits: Bearable, theta: Array
+) -> tuple[CandidateLaxity, tuple[UnborneTrial, ...]]:
+    """The candidates that the knee bears at theta, and the others."""
+    model = offered.with_start_poses(theta).model.with_protocol(offered.protocol)
+    unborne = limits.unborne(model, offered.free.expand(theta))
+    return replace(offered, protocol=_without(offered.protocol, unborne)), unborne
+
+
+def _without(protocol: Protocol, unborne: Sequence[UnborneTrial]) -> Protocol:
+    gone = {x.trial for x in unborne}
+    return protocol.select([i for i, x in enumerate(protocol.trials) if x not in gone])
+
+
 def _other_steps(
-    offered: CandidateLaxity, state: str, costs: Mapping[str, float | None], theta: Array
-) -> tuple[tuple[Step, ...], CandidateTrials | None]:
-    """Steps beside one more trial that are considered, and what they would measure."""
+    offered: CandidateLaxity,
+    state: str,
+    costs: Mapping[str, float | None],
+    limits: Bearable,
+    theta: Array,
+) -> tuple[tuple[Step, ...], CandidateTrials | None, tuple[UnborneTrial, ...]]:
+    """Steps beside one more trial that are considered, what they would measure, and those unborne.
+
+    What the knee does not bear as it is, it does not bear after a cut either, nor while a force is
+    measured: those trials are not among `offered`.
+    """
     steps: list[Step] = []
     parts: list[CandidateTrials] = []
+    gone: list[UnborneTrial] = []
     if costs["cut"] is not None:
         for after in laxity_after_cuts(offered, state):
-            parts.append(after.laxity.with_start_poses(theta))
+            laxity, unborne = _borne(after.laxity, limits, theta)
+            gone += unborne
+            if not laxity.protocol.n:
+                continue
+            before = dict(zip(after.laxity.names, after.trials, strict=True))
+            parts.append(laxity.with_start_poses(theta))
             steps += [
-                Step(name=name, kind="cut", structure=after.ligament, trial=trial)
-                for name, trial in zip(parts[-1].names, after.trials, strict=True)
+                Step(name=name, kind="cut", structure=after.ligament, trial=before[name])
+                for name in laxity.names
             ]
     if costs["force"] is not None or costs["contact"] is not None:
         forces = candidate_forces(
@@ -404,7 +455,7 @@ def _other_steps(
             )
             for name, (i, structure) in zip(forces.names, forces.places, strict=True)
         ]
-    return tuple(steps), SeveralCandidates(parts=tuple(parts)) if parts else None
+    return tuple(steps), SeveralCandidates(parts=tuple(parts)) if parts else None, tuple(gone)
 
 
 def _step_sentence(steps: Sequence[Step]) -> tuple[str, ...]:

@@ -1,0 +1,124 @@
+"""Which trials a knee would not bear: a ligament would fail, or the tibia go farther than any does.
+
+What it bore in trials that were made is never too much.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identknee.checks.fit_checks import strength_tensions
+from identknee.laxity.table import COORDINATES
+from identknee.model.candidate_laxity import continued_from_own_poses
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.line_loads import tensions_of
+from identknee.runs.arrays import Array
+from identknee.runs.declare import declared, entry
+from identknee.runs.findings import Finding, finding
+from identknee.runs.words import coordinate_words
+
+# Largest change of a coordinate from the unloaded pose [mm, deg]: an assumption, beyond what is
+# published of knees with one ligament cut, and short of a dislocation.
+FARTHEST = dict(zip(COORDINATES, (25.0, 25.0, 25.0, 20.0, 30.0), strict=True))
+ASSUMED = "an assumption"
+
+
+@declared
+class UnborneTrial:
+    """A trial or step that is not offered, since no knee would bear it."""
+
+    trial: str = entry("Name of the trial or step")
+    what: str = entry("The ligament that would fail, or the coordinate that would go too far")
+    value: float = entry(
+        "Predicted tension, or size of the change from the unloaded pose", unit="N, mm or deg"
+    )
+    limit: float = entry(
+        "Mean load at which such a ligament fails, or farthest change; more where a trial that was "
+        "made had more",
+        unit="N, mm or deg",
+    )
+    source: str = entry("Where the limit is from")
+
+
+@declared
+class Bearable:
+    """Largest demands that a knee bears: tension of each ligament, change of each coordinate."""
+
+    what: tuple[str, ...] = entry("Names of ligaments and coordinates")
+    limits: Array = entry("The limits [N, mm, deg], shape ``(m,)``")
+    sources: tuple[str, ...] = entry("Where they are from")
+
+    def unborne(self, model: LaxityModel, theta: Array) -> tuple[UnborneTrial, ...]:
+        """The trials of a model beyond a limit at theta, each with that which it is most beyond."""
+        values = _demands(model, theta)[2]
+        times = np.nan_to_num(values / self.limits)
+        return tuple(
+            UnborneTrial(
+                trial=model.protocol.trials[i],
+                what=self.what[k],
+                value=float(values[i, k]),
+                limit=float(self.limits[k]),
+                source=self.sources[k],
+            )
+            for i, k in enumerate(times.argmax(axis=1))
+            if times[i, k] > 1.0
+        )
+
+
+def bearable(model: LaxityModel, theta: Array, *, is_made: bool) -> Bearable:
+    """What a knee bears: the limits, and what its trials demand at theta where they were made."""
+    names, usual, values, sources = _demands(model, theta)
+    borne = np.nan_to_num(values).max(axis=0) if is_made else np.zeros(len(usual))
+    return Bearable(what=names, limits=np.maximum(usual, borne), sources=sources)
+
+
+def _demands(
+    model: LaxityModel, theta: Array
+) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
+    """Names, limits, demands of each trial ``(n, m)``, NaN without equilibrium, and sources."""
+    unloaded = model.protocol.under(np.zeros(model.protocol.n))
+    at_rest = continued_from_own_poses(model.with_protocol(unloaded), theta)
+    found, rest = (x.predict(theta, derivatives=False) for x in (model, at_rest))
+    changes = np.abs(found.coordinates - rest.coordinates)
+    known = strength_tensions(model, tensions_of(model, found))
+    return (
+        (*known, *FARTHEST),
+        np.array([*(x.failure_N for x in known.values()), *FARTHEST.values()]),
+        np.column_stack([*(x.tension for x in known.values()), changes]),
+        (*(x.source for x in known.values()), *[ASSUMED] * len(FARTHEST)),
+    )
+
+
+def unborne_findings(unborne: Sequence[UnborneTrial]) -> tuple[Finding, ...]:
+    """What is not offered and why: a finding for each ligament or coordinate, with the worst."""
+    found = []
+    for what in dict.fromkeys(x.what for x in unborne):
+        own = [x for x in unborne if x.what == what]
+        worst = max(own, key=lambda x: x.value)
+        counted = f"{len(own)} possible {'step is' if len(own) == 1 else 'steps are'} not offered"
+        values = {"n": len(own), "trial": worst.trial, "trials": [x.trial for x in own]}
+        if what in FARTHEST:
+            unit = what.rpartition("_")[2]
+            values |= {
+                "coordinate": what,
+                f"change_{unit}": worst.value,
+                f"limit_{unit}": worst.limit,
+            }
+            sentence = (
+                f"{counted}: {coordinate_words(what)} would change by up to {worst.value:.0f} "
+                f"{unit}, in {worst.trial}; beyond {worst.limit:.0f} {unit} no knee is tested."
+            )
+            found.append(finding("step-beyond-laxity", what, values, sentence=sentence))
+            continue
+        values |= {
+            "ligament": what,
+            "force_N": worst.value,
+            "limit_N": worst.limit,
+            "source": worst.source,
+        }
+        sentence = (
+            f"{counted}: the {what} would carry up to {worst.value:.0f} N, in {worst.trial}; it "
+            f"bears {worst.limit:.0f} N ({worst.source})."
+        )
+        found.append(finding("step-beyond-strength", what, values, sentence=sentence))
+    return tuple(found)
