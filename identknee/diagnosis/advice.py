@@ -39,6 +39,7 @@ from identknee.laxity.table import Laxity
 from identknee.model.candidate_laxity import CandidateLaxity, offered_laxity, typical_errors
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library, values_of
+from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.arrays import Array
@@ -150,6 +151,7 @@ class AdviceCandidates:
             trials=unique_names([offered.trials[i] for i in chosen], self.laxity.protocol.trials),
             flexion_deg=offered.flexion_deg[chosen],
             loads=offered.loads[chosen],
+            state=tuple(offered.states[i] for i in chosen),
         )
         return advised, found, np.array(others).reshape(-1, len(pairs))
 
@@ -364,7 +366,8 @@ def protocol_isolability(
     plain = best_fit_from(model, laxity, stated_noise(laxity), [theta])
     fitted = fitted_with_nuisances(plain, sds, laxity.within_trial_correlation)
     present = {x.name for x in fitted.model.effects}
-    tried = [x for x in library(knee) if x.name not in present]
+    causes = causes_in_experiments(library(knee), protocol)
+    tried = [x for x in causes if x.name not in present]
     candidates = library_candidates(fitted, tried, seed=seed)
     variants = [
         x

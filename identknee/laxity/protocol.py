@@ -868,8 +868,8 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     Parameters
     ----------
     made
-        The trials made. A candidate with the angle and the loads of one of them is its repeat and
-        bears its name.
+        The trials made. Candidates are of the experiment and state in which the knee was left. One
+        with the angle and the loads of a trial made there is its repeat and bears its name.
     flexion_deg
         Angles of the new ones [deg].
 
@@ -881,15 +881,17 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     (104, 'flexion0_internal-5Nm')
     """
     is_exact, flexion, meant = nominal_trials(made)
-    repeats = np.flatnonzero(is_exact).tolist()
+    last = _last_state(made)
+    is_repeat = is_exact & (made.series == made.series[last])
     rows = {
         _key(made.flexion_deg[i], made.loads[i]): (
             made.trials[i],
             float(made.flexion_deg[i]),
             made.loads[i],
         )
-        for i in repeats
+        for i in np.flatnonzero(is_repeat).tolist()
     }
+    meant = np.where(is_exact[:, None], made.loads, meant)
     held = nominal_held_loads(made)
     usual = [
         (float(angle), np.array([loads.get(x, y) for x, y in zip(LOADS, held, strict=True)]))
@@ -898,7 +900,7 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     ]
     taken = set(made.trials)
     for angle, values in (
-        *zip(flexion[~is_exact].tolist(), meant[~is_exact], strict=True),
+        *zip(flexion[~is_repeat].tolist(), meant[~is_repeat], strict=True),
         *usual,
     ):
         name = trial_name(angle, values.tolist())
@@ -913,7 +915,15 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
         trials=names,
         flexion_deg=np.array(angles),
         loads=np.array(values_of),
+        state=None if made.state is None else (made.state[last],) * len(names),
+        experiment=None if made.experiment is None else (made.experiment[last],) * len(names),
+        experiments=made.experiments,
     )
+
+
+def _last_state(made: Protocol) -> int:
+    """The last trial in the state with the most cuts, in which the knee is left."""
+    return max(range(made.n), key=lambda i: (len(cuts_of(made.states[i])), i))
 
 
 # A load that differs from a usual one by no more than this share of it is meant to be that one.

@@ -203,6 +203,8 @@ def with_unloaded(protocol: Protocol) -> Protocol:
         flexion_deg=np.array(missing),
         loads=np.zeros((len(missing), protocol.loads.shape[1])),
         state=None if protocol.state is None else protocol.state[:1] * len(missing),
+        experiment=None if protocol.experiment is None else protocol.experiment[:1] * len(missing),
+        experiments=protocol.experiments,
     )
     return concatenate([protocol, added], name=protocol.name)
 

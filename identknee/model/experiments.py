@@ -46,6 +46,8 @@ CAUSES_OF_RIG = (
     "rig_compliance_VV",
     "hysteresis",
 )
+# Causes that may begin when a knee is taken out of its rig to be cut.
+CAUSES_OF_STATE = ("flexion_offset", "femur_frame", "tibia_frame", "moment_offset")
 # Where two rigs are compared one may be off by more than any rig alone is expected to be.
 GAINS, GAIN_SD, GAIN_LIMITS = CAUSES_OF_RIG[:2], 0.3, (-0.9, 1.5)
 # Standard deviation of the fraction of stiffness that a partial cut takes away.
@@ -74,14 +76,19 @@ def effects_of_part(
     own
         Those of the whole knee, of the rig, of the mounting, of the state and of the cuts.
     acting
-        The same under plain names, and the cuts that are none of them at their stated fraction.
+        The same, each the first of its kind under its plain name, and the cuts that are none of them at their stated fraction.
     """
     cuts = cuts_of(state)
     scopes = {"", experiment.rig, experiment.mounting, _state_scope(state), *map(_scope, cuts)}
     own = [x for x in effects if scope_of(x) in scopes]
     made = set(map(scope_of, own))
     stated = [_as_stated(cut(knee, x)) for x in cuts if _scope(x) not in made]
-    return own, tuple(renamed(x, _plain_name(x)) for x in (*own, *stated))
+    acting: dict[str, Effect] = {}
+    for x in (*own, *stated):
+        # One of a rig and one of a state may act at once: the second keeps its whole name.
+        name = x.name if _plain_name(x) in acting else _plain_name(x)
+        acting[name] = renamed(x, name)
+    return own, tuple(acting.values())
 
 
 def _as_stated(effect: Effect) -> Effect:
@@ -91,7 +98,7 @@ def _as_stated(effect: Effect) -> Effect:
 
 
 def _plain_name(effect: Effect) -> str:
-    """Its name in a part, where it is the only one of its kind, or of its ligament."""
+    """Its name in a part, for the first of its kind, or of its ligament."""
     scope, _, kind = effect.name.rpartition(OF)
     return f"{CUT}_{scope}" if kind == CUT else kind
 
@@ -217,15 +224,25 @@ def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effec
 
 
 def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:
-    """Candidate causes, those of a rig once for each where there are several."""
-    scopes = _scopes(protocol.experiments, "rig")
-    if not scopes:
-        return tuple(effects)
-    return tuple(
-        each
-        for x in effects
-        for each in ([_of_one_rig(x, rig) for rig in scopes] if x.name in CAUSES_OF_RIG else [x])
-    )
+    """Candidate causes, those of a rig once for each where there are several.
+
+    What may begin with a cut is also tried once for each state with one, beside intact trials.
+    """
+    rigs = _scopes(protocol.experiments, "rig")
+    states = dict.fromkeys(protocol.state or ())
+    cut_states = [_state_scope(x) for x in states if x != INTACT] if len(states) > 1 else []
+    return tuple(each for x in effects for each in _in_experiments(x, rigs, cut_states))
+
+
+def _in_experiments(
+    effect: Effect, rigs: Sequence[str], cut_states: Sequence[str]
+) -> Iterator[Effect]:
+    if rigs and effect.name in CAUSES_OF_RIG:
+        yield from (_of_one_rig(effect, rig) for rig in rigs)
+    else:
+        yield effect
+    if effect.name in CAUSES_OF_STATE:
+        yield from (scoped(effect, state) for state in cut_states)
 
 
 def _of_one_rig(effect: Effect, rig: str) -> Effect:

@@ -47,6 +47,7 @@ MODULES = {
     "sbc_limits": "verify_sbc_limits",
     "forecast": "verify_forecast",
     "states": "verify_states",
+    "blind_states": "verify_blind_states",
     "discrepancy": "verify_discrepancy",
     "opensim_cut": "verify_opensim_cut",
     "wrapping": "verify_wrapping",

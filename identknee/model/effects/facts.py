@@ -293,9 +293,10 @@ def cause_label(name: str) -> str:
     --------
     >>> cause_label("rig_compliance_IE"), cause_label("my_effect")
     ('rig compliance in internal rotation', 'my effect')
-    >>> cause_label("robot/flexion_offset")
-    'flexion offset of robot'
+    >>> cause_label("robot/flexion_offset"), cause_label("cut:ACL/flexion_offset")
+    ('flexion offset of robot', 'flexion offset of the state cut: ACL')
     """
     scope, _, own = name.rpartition(OF)
     label = FACTS[own].label if own in FACTS else own.replace("_", " ")
-    return f"{label} of {scope}" if scope else label
+    where = scope.replace("cut:", "the state cut: ").replace(",", ", ")
+    return f"{label} of {where}" if scope else label
