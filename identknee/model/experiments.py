@@ -76,7 +76,8 @@ def effects_of_part(
     own
         Those of the whole knee, of the rig, of the mounting, of the state and of the cuts.
     acting
-        The same, each the first of its kind under its plain name, and the cuts that are none of them at their stated fraction.
+        The same, each the first of its kind under its plain name, and the cuts that are none of
+        them at their stated fraction.
     """
     cuts = cuts_of(state)
     scopes = {"", experiment.rig, experiment.mounting, _state_scope(state), *map(_scope, cuts)}
@@ -85,8 +86,9 @@ def effects_of_part(
     stated = [_as_stated(cut(knee, x)) for x in cuts if _scope(x) not in made]
     acting: dict[str, Effect] = {}
     for x in (*own, *stated):
-        # One of a rig and one of a state may act at once: the second keeps its whole name.
-        name = x.name if _plain_name(x) in acting else _plain_name(x)
+        # One of a rig and one of a state may act at once: the second is named after both.
+        name = _plain_name(x)
+        name = x.name.replace(OF, " ") if name in acting else name
         acting[name] = renamed(x, name)
     return own, tuple(acting.values())
 

@@ -79,8 +79,8 @@ def _row(done: list[dict[str, Any]]) -> Row:
         "state, one rig's error beside a knee's effect, sound; 120 cases",
         measures=measures,
         notes=[
-            f"{len(done)} of {N * len(KNEES) * len(KINDS)} cases, "
-            f"{seconds[len(seconds) // 2]:.0f} s each (median)",
+            f"{len(done)} of {N * len(KNEES) * len(KINDS)} cases",
+            f"a diagnosis takes {seconds[len(seconds) // 2]:.0f} s (median, processor time)",
             *(f"no case: {x['error']}" for x in done if "error" in x),
             *missed,
         ],

@@ -183,3 +183,21 @@ def test_trials_are_appended_with_their_state() -> None:
     with pytest.raises(ValueError, match="two different trials"):
         concatenate([PROTOCOL, replace(PROTOCOL, state=("cut: ACL",) * PROTOCOL.n)])
     assert candidate_trials(both, [0]).n > both.n
+
+
+def test_trials_to_add_are_of_the_experiment_where_the_knee_was_left() -> None:
+    tables = [("robot", "cut: ACL"), ("hand", None)]
+    made = joined(
+        [
+            (Experiment(name=name, rig=name, mounting=name), _table(name, state=state))
+            for name, state in tables
+        ]
+    ).protocol
+    offered = candidate_trials(made, [0])
+    assert set(offered.states) == {"cut: ACL"}
+    assert set(offered.experiment or ()) == {"robot"}
+    repeats = set(offered.trials) & set(made.trials)
+    assert repeats == {x for x in made.trials if x.startswith("robot/")}
+    both = concatenate([made, offered])
+    assert both.n == made.n + offered.n - len(repeats)
+    assert both.experiments == made.experiments

@@ -12,7 +12,8 @@ from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.protocol import concatenate
 from identknee.model.contact_loads import contact_jacobian, contact_values
-from identknee.model.effects.library import library
+from identknee.model.effects.facts import cause_label
+from identknee.model.effects.library import effect_named, library
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import (
@@ -277,6 +278,38 @@ def test_causes_of_a_rig_are_tried_for_each_rig() -> None:
     gain = next(x for x in several if x.name == "hand/moment_gain_IE")
     assert gain.parameters.lower[0] < -0.6
     assert causes_in_experiments(causes, TRIALS) == tuple(causes)
+
+
+def test_causes_of_a_state_are_tried_beside_those_of_a_rig() -> None:
+    laxity = _laxity({"a": "intact", "cut": "cut: MCL"})
+    causes = causes_in_experiments(library(KNEE), laxity.protocol)
+    names = [x.name for x in causes]
+    assert [x for x in names if x.startswith("cut:")] == [
+        f"cut:MCL/{x}" for x in ("moment_offset", "femur_frame", "tibia_frame", "flexion_offset")
+    ]
+    assert "hand/flexion_offset" in names
+    assert cause_label("cut:MCL/flexion_offset").endswith("the state cut: MCL")
+    plain = causes_in_experiments(library(KNEE), replace(TRIALS, state=("cut: MCL",) * TRIALS.n))
+    assert not [x for x in plain if "/" in x.name]
+
+
+def test_a_rig_and_a_state_may_be_off_at_once() -> None:
+    """Of one kind: both add up in the trials of the rig in that state, and nowhere else."""
+    protocol = _laxity({"a": "intact", "cut": "cut: MCL"}).protocol
+    names = ("hand/flexion_offset", "cut:MCL/flexion_offset")
+    model = LaxityModel(
+        knee=KNEE, protocol=protocol, effects=[effect_named(KNEE, x) for x in names]
+    )
+    n = TRIALS.n
+    assert model.parameters.names[-2:] == tuple(f"{x}.flexion_deg" for x in names)
+    found = [
+        model.predict(np.r_[model.parameters.start[:-2], values]).coordinates
+        for values in ([0.0, 0.0], [2.0, 0.0], [0.0, 2.0], [1.5, 0.5])
+    ]
+    assert np.abs(found[1][n:] - found[0][n:]).max() > 0.1
+    np.testing.assert_allclose(found[2], found[1], atol=CLOSED_FORM)
+    np.testing.assert_allclose(found[3], found[1], atol=CLOSED_FORM)
+    np.testing.assert_array_equal(found[1][:n], found[0][:n])
 
 
 def test_trials_of_other_states_are_no_replicates() -> None:
