@@ -298,7 +298,7 @@ def test_a_rig_and_a_state_may_be_off_at_once() -> None:
     protocol = _laxity({"a": "intact", "cut": "cut: MCL"}).protocol
     names = ("hand/flexion_offset", "cut:MCL/flexion_offset")
     model = LaxityModel(
-        knee=KNEE, protocol=protocol, effects=[effect_named(KNEE, x) for x in names]
+        knee=KNEE, protocol=protocol, effects=tuple(effect_named(KNEE, x) for x in names)
     )
     n = TRIALS.n
     assert model.parameters.names[-2:] == tuple(f"{x}.flexion_deg" for x in names)
