@@ -881,7 +881,8 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     (104, 'flexion0_internal-5Nm')
     """
     is_exact, flexion, meant = nominal_trials(made)
-    last = _last_state(made)
+    # The knee was left in the state with the most cuts.
+    last = max(range(made.n), key=lambda i: (len(cuts_of(made.states[i])), i))
     is_repeat = is_exact & (made.series == made.series[last])
     rows = {
         _key(made.flexion_deg[i], made.loads[i]): (
@@ -919,11 +920,6 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
         experiment=None if made.experiment is None else (made.experiment[last],) * len(names),
         experiments=made.experiments,
     )
-
-
-def _last_state(made: Protocol) -> int:
-    """The last trial in the state with the most cuts, in which the knee is left."""
-    return max(range(made.n), key=lambda i: (len(cuts_of(made.states[i])), i))
 
 
 # A load that differs from a usual one by no more than this share of it is meant to be that one.
