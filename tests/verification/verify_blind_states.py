@@ -10,7 +10,7 @@ from verify_blind import is_alarm, share_of
 from work_store import work_store
 
 from identknee.blind.case import SD
-from identknee.diagnosis.advice import protocol_isolability
+from identknee.diagnosis.advice import ROOT, protocol_isolability
 
 KNEES = ("reference", "lenhart2015_stable")
 KINDS = (ONE_STATE, ONE_RIG, SOUND)
@@ -34,7 +34,10 @@ def parts(options: argparse.Namespace) -> Iterator[Row]:
             if (found := store.get(key)) is None:
                 found = state_outcome(name, kind, number, FIRST_SEED + 100 * k)
                 store.put_many({key: found})
-            done.append({**found, "is_isolable": not apart[name] & set(found["hidden"])})
+            # As far out of the noise as isolability takes each cause to be, and in no group.
+            is_seen = min(found.get("signals") or [0.0]) >= ROOT
+            is_alone = not apart[name] & set(found["hidden"])
+            done.append({**found, "is_isolable": is_seen and is_alone})
             if (k + 1) % EVERY == 0:
                 yield _row(done)
     yield _row(done)
