@@ -69,6 +69,7 @@ def found() -> dict[str, Any]:
     return dict(json.loads(done.stdout))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["diagnose", *ON_DATA, *ON_PROTOCOL])
 def test_a_verb_gives_the_same_bits_on_a_cluster(verb: str) -> None:
     pytest.importorskip("distributed")
@@ -76,6 +77,7 @@ def test_a_verb_gives_the_same_bits_on_a_cluster(verb: str) -> None:
     assert together == alone
 
 
+@pytest.mark.slow
 def test_the_tasks_of_a_lost_worker_go_to_another() -> None:
     pytest.importorskip("distributed")
     assert found()["lost"] == [[0, 1, 4, 9], True]

@@ -203,6 +203,7 @@ def test_trials_along_paths_that_the_start_loses_are_regained() -> None:
     assert found.rmse.deg < 1.0
 
 
+@pytest.mark.slow
 def test_a_stated_noise_weighs_as_columns_of_the_table_do() -> None:
     laxity = as_read()
     coordinates = laxity.coordinates + np.random.default_rng(5).normal(size=(laxity.n, 5))

@@ -112,6 +112,7 @@ def test_python_gives_the_same_data_and_reveals_the_same(folder: Path, tmp_path:
     assert printed == plain(summary_of(revealed))
 
 
+@pytest.mark.slow
 def test_a_knee_is_given_as_wrong_as_stated_and_the_errors_are_revealed(tmp_path: Path) -> None:
     words = ["--effect", "none", "--seed", 3, "--uncertain", "insertions=2mm,load_gain=3%"]
     result = run("blind", *words, "--out", tmp_path)

@@ -93,6 +93,7 @@ def test_other_verbs_go_on_with_the_extended_subject(
             assert found[ligament][name] == pytest.approx(value, abs=0.25 * (high - low))
 
 
+@pytest.mark.slow
 def test_a_knee_of_another_side_place_and_names(tmp_path: Path) -> None:
     subject = posed_folder(tmp_path / "subject", 1)
     data = short_data(ik.read_subject(subject), None)

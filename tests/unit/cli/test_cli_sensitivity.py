@@ -57,6 +57,7 @@ def test_trials_of_a_table_and_fixed_parameters(tmp_path: Path) -> None:
     assert "PCL.stiffness_kN" not in summary["indices"]["mu_star"]
 
 
+@pytest.mark.slow
 def test_over_a_posterior(tmp_path: Path) -> None:
     parameters = ik.LaxityModel(
         knee=ik.reference_knee(), protocol=ik.load_protocol("table2")

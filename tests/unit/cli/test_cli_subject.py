@@ -160,6 +160,7 @@ def test_a_knee_that_folds_settles(tmp_path: Path) -> None:
     assert again.exit_code == 0, again.output
 
 
+@pytest.mark.slow
 def test_a_knee_that_does_not_settle_ends_with_1(tmp_path: Path) -> None:
     words = ["--protocol", internal(tmp_path), "--within", "0.1", "--out", tmp_path / "out"]
     result = run("subject", "settle", "lenhart2015", *words)

@@ -34,6 +34,7 @@ def test_it_takes_what_it_finds(folder: Path) -> None:
     assert page.count('class="knee-viewer"') == 1
 
 
+@pytest.mark.slow
 def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
     result = run("report", folder / "fit", "--out", tmp_path / "page.html", "--figures", "pdf")
     assert result.exit_code == 0, result.output
@@ -53,8 +54,9 @@ def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) ->
     result = run("report", folder, *page, "--tables", "csv,latex", "--methods")
     assert result.exit_code == 0, result.output
     names = {x.name for x in (tmp_path / "tables").iterdir()}
-    assert names == {"fit-fitted-parameters.csv", "fit-fitted-parameters.tex"}
-    assert f"2 files of tables: {tmp_path / 'tables'}" in result.stdout
+    tables = ("fit-fitted-parameters", "simulate-largest-ligament-forces")
+    assert names == {f"{x}.{form}" for x in tables for form in ("csv", "tex")}
+    assert f"4 files of tables: {tmp_path / 'tables'}" in result.stdout
     text = (tmp_path / "methods.md").read_text(encoding="utf-8")
     assert [x for x in text.splitlines() if x.startswith("#")] == [
         *("# Methods", "## simulate (simulate)", "## fit (fit)")

@@ -64,6 +64,7 @@ def without(ligament: str, protocol: str = "seed63") -> Laxity:
     return add_noise(model.simulate(theta), sd_mm=SD, sd_deg=SD, seed=1)
 
 
+@pytest.mark.slow
 def test_no_bound_limits_what_is_absent() -> None:
     found = investigate(reference_knee(), without("ACL"))
     assert found is not None

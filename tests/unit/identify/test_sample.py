@@ -212,6 +212,7 @@ def test_killed_and_resumed_it_is_the_same_bit_for_bit(moves: str, tmp_path: Pat
     assert same(resumed, whole)
 
 
+@pytest.mark.slow
 def test_executors_agree_bit_for_bit() -> None:
     problem = line()
     serially = sample(problem, rule=StopRule(budget=2000), seed=7)

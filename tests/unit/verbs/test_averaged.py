@@ -155,6 +155,7 @@ def test_errors_beside_an_unknown_noise_are_refused(knee: Knee, measured: Laxity
         marginalise_nuisances(unknown, seed=0, executor=serial)
 
 
+@pytest.mark.slow
 def test_equivalents_list_ligament_parameters_alone(knee: Knee, measured: Laxity) -> None:
     found = ik.equivalents(knee, measured, n_sets=2, forces="none", fixed=FIXED)
     assert all(x.startswith(("ACL", "PCL")) for x in found.region.parameters)

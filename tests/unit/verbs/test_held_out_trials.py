@@ -59,6 +59,7 @@ def test_predictions_do_not_see_what_was_measured() -> None:
     assert other.within_90 < 0.2 < found.within_90
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_say() -> None:
     inside, sds = [], []
     for seed in range(6):

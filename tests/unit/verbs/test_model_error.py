@@ -47,6 +47,7 @@ def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
     assert max(sizes, key=lambda x: float(sizes[x])) == COORDINATES[0]
 
 
+@pytest.mark.slow
 def test_the_data_determine_less(bent: ik.Laxity) -> None:
     plain, found = (
         ik.information("reference", bent, fixed=ALL_BUT_FOUR, discrepancy=x)

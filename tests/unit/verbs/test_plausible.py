@@ -29,7 +29,9 @@ def laxity() -> ik.Laxity:
     )
 
 
-@pytest.mark.parametrize("verb", quick_verbs(slow=("design", "sample", "equivalents", "profile")))
+@pytest.mark.parametrize(
+    "verb", quick_verbs(slow=("design", "sample", "equivalents", "profile", "information"))
+)
 def test_limits_count_in_the_deviance_of_every_verb(verb: str, laxity: ik.Laxity) -> None:
     plain = quick(verb, "reference", laxity, fixed=ALL_BUT_FOUR)
     found = quick(verb, "reference", laxity, fixed=ALL_BUT_FOUR, plausible=[LIMIT])

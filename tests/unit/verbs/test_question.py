@@ -97,6 +97,7 @@ def test_a_question_says_what_was_asked_and_in_what_it_differs(laxity: ik.Laxity
 
 
 @pytest.mark.usefixtures("short_searches")
+@pytest.mark.slow
 def test_what_the_table_contradicts_is_left_out_of_every_verb_alike() -> None:
     """One trial of the measured knee; `keep` keeps it."""
     table = ik.example_laxity("s192803")
