@@ -1,4 +1,9 @@
-"""Blind cases of a knee intact and cut on two rigs: an effect of one state, one rig's error."""
+"""Blind cases of a knee intact and cut on two rigs: an effect of one state, one rig's error.
+
+A case is isolable where what it hides is in no group of the planned isolability, and as far out of
+the noise as that takes each cause to be. The second condition was added after 27 cases of other
+seeds were seen; the rate without it stands beside.
+"""
 
 import argparse
 from collections.abc import Iterator
@@ -14,14 +19,14 @@ from identknee.diagnosis.advice import ROOT, protocol_isolability
 
 KNEES = ("reference", "lenhart2015_stable")
 KINDS = (ONE_STATE, ONE_RIG, SOUND)
-FIRST_SEED, EVERY, N = 381_000, 3, 20
+FIRST_SEED, EVERY, N = 500_000, 3, 20
 
 
 def parts(options: argparse.Namespace) -> Iterator[Row]:
     """The row, again after every few cases."""
     del options
     done: list[dict[str, Any]] = []
-    with work_store("blind_states", {"n": N}) as store:
+    with work_store("blind_states", {"n": N, "seed": FIRST_SEED}) as store:
         apart = {}
         for name in KNEES:
             if (groups := store.get(name)) is None:
@@ -34,10 +39,9 @@ def parts(options: argparse.Namespace) -> Iterator[Row]:
             if (found := store.get(key)) is None:
                 found = state_outcome(name, kind, number, FIRST_SEED + 100 * k)
                 store.put_many({key: found})
-            # As far out of the noise as isolability takes each cause to be, and in no group.
             is_seen = min(found.get("signals") or [0.0]) >= ROOT
             is_alone = not apart[name] & set(found["hidden"])
-            done.append({**found, "is_isolable": is_seen and is_alone})
+            done.append({**found, "is_alone": is_alone, "is_isolable": is_seen and is_alone})
             if (k + 1) % EVERY == 0:
                 yield _row(done)
     yield _row(done)
@@ -65,6 +69,8 @@ def _row(done: list[dict[str, Any]]) -> Row:
         measures.append(
             share_of("right name of the isolable", isolable, _is_right, bar=0.85, at_least=True)
         )
+    if alone := [x for x in told if x["is_alone"]]:
+        measures.append(share_of("right name of those in no group, of any size", alone, _is_right))
     for kind in (ONE_STATE, ONE_RIG):
         own = [x for x in isolable if x["kind"] == kind]
         if own:
