@@ -3,8 +3,8 @@ addEventListener("load", () => {
   for (const part of document.querySelectorAll("table, pre, div.math, math")) {
     if (part.scrollWidth > part.clientWidth) part.tabIndex = 0;
   }
-  // Its label would hide the words on the button.
+  // The button is called by its words, also on a narrow page, which hides them.
   for (const button of document.querySelectorAll(".search-button-field")) {
-    button.removeAttribute("aria-label");
+    button.setAttribute("aria-label", button.textContent.replace(/\s+/g, " ").trim());
   }
 });
