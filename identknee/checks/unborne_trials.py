@@ -1,4 +1,4 @@
-"""Which trials a knee would not bear: a ligament would fail, or the tibia go farther than any does.
+"""Which trials a knee would not bear: a ligament would fail, or the tibia would go too far.
 
 What it bore in trials that were made is never too much.
 """
@@ -17,8 +17,7 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import coordinate_words
 
-# Largest change of a coordinate from the unloaded pose [mm, deg]: an assumption, beyond what is
-# published of knees with one ligament cut, and short of a dislocation.
+# Largest change of a coordinate from the unloaded pose [mm, deg]: an assumption.
 FARTHEST = dict(zip(COORDINATES, (25.0, 25.0, 25.0, 20.0, 30.0), strict=True))
 ASSUMED = "an assumption"
 
@@ -106,7 +105,7 @@ def unborne_findings(unborne: Sequence[UnborneTrial]) -> tuple[Finding, ...]:
             }
             sentence = (
                 f"{counted}: {coordinate_words(what)} would change by up to {worst.value:.0f} "
-                f"{unit}, in {worst.trial}; beyond {worst.limit:.0f} {unit} no knee is tested."
+                f"{unit}, in {worst.trial}; {worst.limit:.0f} {unit} is taken as the limit."
             )
             found.append(finding("step-beyond-laxity", what, values, sentence=sentence))
             continue

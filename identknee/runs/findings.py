@@ -380,7 +380,7 @@ _ALL = (
         severity=INFO,
         about=About.TRIALS,
         meaning="Steps that a design does not offer, since the tibia would go farther from its "
-        "unloaded pose than knees are tested, and farther than in trials that were made.",
+        "unloaded pose than is assumed to be safe, and farther than in trials that were made.",
         remedy="Offer such tests with smaller loads as --candidates.",
         distinct=("trials",),
     ),

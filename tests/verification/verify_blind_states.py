@@ -58,18 +58,18 @@ def _not_isolable(name: str) -> list[str]:
 def _row(done: list[dict[str, Any]]) -> Row:
     hidden = [x for x in done if x["hidden"]]
     sound = [x for x in done if not x["hidden"] and "error" not in x]
-    told = [x for x in hidden if "error" not in x]
+    diagnosed = [x for x in hidden if "error" not in x]
     measures = [
         Measure(what="cases", value=float(len(done)), unit="", bar=120.0, at_least=True),
-        share_of("wrong single name", told, _is_wrong, bar=0.03),
-        share_of("isolable", told, lambda x: bool(x["is_isolable"])),
+        share_of("wrong single name", diagnosed, _is_wrong, bar=0.03),
+        share_of("isolable", diagnosed, lambda x: bool(x["is_isolable"])),
     ]
-    isolable = [x for x in told if x["is_isolable"]]
+    isolable = [x for x in diagnosed if x["is_isolable"]]
     if isolable:
         measures.append(
             share_of("right name of the isolable", isolable, _is_right, bar=0.85, at_least=True)
         )
-    if alone := [x for x in told if x["is_alone"]]:
+    if alone := [x for x in diagnosed if x["is_alone"]]:
         measures.append(share_of("right name of those in no group, of any size", alone, _is_right))
     for kind in (ONE_STATE, ONE_RIG):
         own = [x for x in isolable if x["kind"] == kind]
@@ -79,7 +79,7 @@ def _row(done: list[dict[str, Any]]) -> Row:
         measures.append(share_of("false alarms", sound, is_alarm, bar=0.08))
     missed = [
         f"{x['knee']}, {' and '.join(x['hidden'])}: {x['verdict']} {', '.join(x['named'])}"
-        for x in told
+        for x in diagnosed
         if _is_wrong(x) or (x["is_isolable"] and not _is_right(x))
     ]
     seconds = sorted(x["seconds"] for x in done if "seconds" in x)

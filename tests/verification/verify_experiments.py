@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 from experiment_replicates import experiment_replicate
-from requirement_rows import Measure, Row
+from requirement_rows import Measure, Row, rejected_cells
 from scipy.stats import binomtest, chi2
 from superposition_replicates import superposition_replicate
 from work_store import work_store
@@ -63,16 +63,7 @@ def measure(options: argparse.Namespace) -> Row:
             f"replicate; median deviance over values "
             f"{np.median([x['deviance'] / x['n_values'] for x in own]):.2f}"
         )
-    holm = np.sort(p_values) * np.arange(len(p_values), 0, -1)
-    measures.append(
-        Measure(
-            what="cells rejected at 5 % after Holm",
-            value=float(np.sum(np.minimum.accumulate(holm < 0.05))),
-            unit="",
-            bar=0.0,
-            count=len(p_values),
-        )
-    )
+    measures.append(rejected_cells(p_values))
     return Row(
         line="coverage with cuts and forces, 2 knees, insertions 2 mm stated, 100 replicates: mean "
         "93-97 %, no cell rejected at 5 % after Holm",

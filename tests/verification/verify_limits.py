@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 from limit_replicates import limit_replicate
-from requirement_rows import Measure, Row
+from requirement_rows import Measure, Row, rejected_cells
 from scipy.stats import binomtest, chi2
 from work_store import work_store
 
@@ -55,16 +55,7 @@ def measure(options: argparse.Namespace) -> Row:
             f"{name}: cells {cells} %; without limits {means['without']:.1f} %; the limits cost "
             f"something in {100.0 * paid:.0f} % of the data sets"
         )
-    holm = np.sort(p_values) * np.arange(len(p_values), 0, -1)
-    measures.append(
-        Measure(
-            what="cells rejected at 5 % after Holm",
-            value=float(np.sum(np.minimum.accumulate(holm < 0.05))),
-            unit="",
-            bar=0.0,
-            count=len(p_values),
-        )
-    )
+    measures.append(rejected_cells(p_values))
     return Row(
         line="coverage with limits, 2 knees, insertions 2 mm stated, 100 replicates, strengths "
         "drawn from the stated distribution: mean 93-98 %, no cell rejected at 5 % after Holm",

@@ -174,7 +174,7 @@ def row_of(row: str, known: Mapping[str, dict[str, Any]]) -> Row:
     elif row == "unlisted_causes":
         far = {x["seed"] for x in found["distances"] if x["distance"] >= LEAST_DISTANCE}
         unlisted = [x for x in found["unlisted"] if x["seed"] in far]
-        shares = [("named all the same", unlisted, _is_named, 0.1, False)]
+        shares = [("named", unlisted, _is_named, 0.1, False)]
     else:
         shares = [
             ("answered with more", hidden, _has_more, 0.03, False),
