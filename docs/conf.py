@@ -70,6 +70,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": False,
     "doc_module": (),
+    "parallel": 2,
     "image_scrapers": "pages.pictures.scraped",
     "capture_repr": (),
     "show_signature": False,

@@ -685,6 +685,8 @@ class Refit:
         square = self.misfit_chi2 / factor**2
         whole = chi2_or_f_test(square, projector.degrees_of_freedom, self.noise_degrees)
         wider = projector.with_columns(projector.padded(self.smooth))
+        if wider.rank == projector.rank:
+            return whole.p_value
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])
 

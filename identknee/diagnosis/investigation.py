@@ -268,6 +268,8 @@ def investigate(
             laxity = weighed(laxity, first.model, first.theta)
             begin = [*begin, first.theta[: first.model.n_ligament_parameters]]
             base_fit = fit_base(knee, laxity, starts=begin, seed=seed) or base_fit
+        if base_fit.fitted.misfit_projector.degrees_of_freedom == 0:
+            return None
         base_fit = lowest_fit(base_fit, seed)
     attribution, p_value = _explained(base_fit, effects, seed, executor)
     if (start := better_start(attribution)) is not None:

@@ -424,10 +424,9 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
 
 # Triangles of the closest tenth show how two surfaces face each other where they are in contact.
 CLOSEST_SHARE = 0.1
-# Of a surface with more triangles or vertices than this, as segmentation gives it, so many are
-# looked at, drawn at random: where two bones face each other there still are a thousand, and only
-# the sign of their mean is used.
-MOST_WHOLE, LOOKED_AT = 50_000, 10_000
+# Of a surface with more triangles or vertices than this so many are looked at, drawn at random:
+# where two bones face each other there still are hundreds, and only the sign of their mean is used.
+LOOKED_AT = 5_000
 
 
 def count_inconsistent_edges(surface: Surface) -> int:
@@ -479,7 +478,7 @@ def facing_normals(surface: Surface, other: Surface) -> Array:
 
 def _looked_at(n: int) -> IntArray:
     """Which of so many triangles or vertices show how a surface faces another."""
-    if n <= MOST_WHOLE:
+    if n <= LOOKED_AT:
         return np.arange(n)
     return np.random.default_rng(0).choice(n, LOOKED_AT, replace=False)
 

@@ -872,6 +872,12 @@ def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
             "The data state no noise and their load curves are too short to show it: state it with "
             "--noise, for example --noise 0.3mm,0.3deg."
         )
+    n_parameters = LaxityModel(knee=knee, protocol=laxity.protocol).parameters.n
+    if (n_values := int(laxity.is_measured.sum())) <= n_parameters:
+        return (
+            f"{n_values} measured values leave no misfit to test, as the {n_parameters} parameters "
+            "can fit any values. Measure more trials."
+        )
     return (
         "No parameters near the subject's have a prediction in every measured trial. See: "
         f"identknee subject check; or leave the cells of such trials of {knee.name} blank."

@@ -110,7 +110,10 @@ def confusion_figure(cases: Sequence[Row]) -> Figure:
     """What was diagnosed of what was hidden, one effect at a time or none."""
     shown = [x for x in cases if len(x["effects"]) < 2]
     truths = [*ik.blind.LISTED, *ik.blind.UNLISTED, NULLS]
-    answers = [*ik.blind.LISTED, "missing_line", "unexplained", "adequate", "not testable"]
+    last = ("missing_line", "unexplained", "adequate", "not testable")
+    # Some causes that a diagnosis knows are hidden in no case of this study.
+    named = dict.fromkeys([*ik.blind.LISTED, *(x for case in shown for x in _answers(case))])
+    answers = [*(x for x in named if x not in last), *last]
     values = np.zeros((len(truths), len(answers)))
     for x in shown:
         row = truths.index(x["effects"][0] if x["effects"] else NULLS)

@@ -29,7 +29,10 @@ EFFECTS = (
     "rig_compliance_IE",
     "hysteresis",
 )
-SLOW = ("toe_strain", "meniscus", "flexion_offset", "anterolateral", "hysteresis")
+SLOW = (
+    *("toe_strain", "meniscus", "flexion_offset", "anterolateral", "hysteresis"),
+    "popliteofibular",
+)
 QUICK = tuple(x for x in EFFECTS if x not in SLOW)
 FIRST_SEED = 300
 

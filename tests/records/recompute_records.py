@@ -27,7 +27,7 @@ from identknee.runs.files import plain
 STUDIES = Path(__file__).parents[2] / "studies"
 SHARE = 0.002
 # What the entries drawn from one study may take together, by the times recorded with them [s].
-MOST_SECONDS = 20.0
+MOST_SECONDS = 10.0
 MOST_SHOWN = 5
 # Of these one number alone takes half a minute: they are computed again where all are.
 NIGHTLY = {"16_what_a_cut_is_worth"}
@@ -43,8 +43,7 @@ WORK = {"n_simulations", "n_polishing"}
 WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # Records older than a change of what they record. A search for an equilibrium that ends within
 # 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09, 11)
-# and bootstraps of ranks to others (07). Noise that load curves show is computed in another order,
-# which moves diagnoses in their fifth digit (10). Searches on a measured knee find lower fits since
+# and bootstraps of ranks to others (07). Searches on a measured knee find lower fits since
 # trials without equilibrium have residuals (15), and fits of gross misfit, as with wrong insertions
 # that are not stated, since others begin with each stiffness nearly gone (12, 14). Differences are
 # shown and fail nothing until the study is computed again. Nothing else belongs here.
@@ -52,7 +51,6 @@ SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
     "09_optimizers",
-    "10_diagnosis",
     "11_reality_gap",
     "12_geometry_uncertainty",
     "14_uncertain_geometry",

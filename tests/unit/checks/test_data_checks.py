@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
@@ -18,6 +19,7 @@ def begun(subject: str, laxity: Laxity) -> LaxityModel:
     return LaxityModel(knee=read_subject(subject), protocol=laxity.protocol).with_tests(laxity)
 
 
+@pytest.mark.slow
 def test_changes_from_a_pose_are_not_taken_for_coordinates() -> None:
     laxity = example_laxity("s192803")
     zeroed = replace(laxity, coordinates=laxity.coordinates - laxity.coordinates[-1])

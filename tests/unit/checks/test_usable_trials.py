@@ -160,6 +160,7 @@ def test_the_folder_of_a_fit_predicts_its_table_without_the_measured_poses(tmp_p
     np.testing.assert_allclose(again.coordinates, predicted.coordinates, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_robust_fit_is_not_moved_by_a_wrong_row() -> None:
     laxity = as_read()
     coordinates = np.array(laxity.coordinates)

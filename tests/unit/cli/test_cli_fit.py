@@ -190,6 +190,7 @@ def test_a_missing_argument_shows_the_usage() -> None:
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.slow
 def test_a_mirrored_rotation_is_said(tmp_path: Path) -> None:
     run("simulate", "reference", "--noise", "0.5mm,0.5deg", "--out", tmp_path / "data")
     measured = ik.read_laxity(tmp_path / "data" / "laxity.csv")

@@ -47,6 +47,7 @@ def test_a_name_is_simulated(tmp_path: Path) -> None:
     assert summary["record"]["settings"]["subject"] == "lenhart2015_stable"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_searches", "no_conventions")
 def test_a_name_stands_for_data_too(tmp_path: Path) -> None:
     words = ("--budget", 5, "--more-starts", 0, "--out", tmp_path)

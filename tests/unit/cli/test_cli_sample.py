@@ -70,6 +70,7 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
         assert float(draws.mean()) == pytest.approx(asked["quantities"][force]["mean"])
 
 
+@pytest.mark.slow
 def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> None:
     theta = {"ACL.stiffness_kN": 9.0, "ACL.reference_strain_pct": 7.5}
     theta |= {f"{x}.reference_strain_pct": 1.0 for x in NAMES}

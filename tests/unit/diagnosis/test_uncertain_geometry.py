@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 from diagnoses import SD, short_trials
 
 from identknee.diagnosis.investigation import Investigation, investigate
@@ -43,6 +44,7 @@ def test_an_error_of_the_stated_size_is_no_finding() -> None:
     assert found.base.fitted.nuisances[0].name.startswith("insertion.")
 
 
+@pytest.mark.slow
 def test_the_same_data_speak_against_a_knee_that_is_said_to_be_exact() -> None:
     assert diagnosed(Uncertainty()).conclusion.verdict is not Verdict.ADEQUATE
 

@@ -97,6 +97,7 @@ def test_no_paragraph_stands_twice(answers: dict[str, Answer], tmp_path: Path) -
         assert page.replace("&nbsp;", " ").replace("&#39;", "'").count(first) == 1
 
 
+@pytest.mark.slow
 def test_results_that_say_the_same_of_the_same_table_share_it(
     answers: dict[str, Answer], tmp_path: Path
 ) -> None:

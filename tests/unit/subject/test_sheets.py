@@ -53,10 +53,9 @@ def test_part_of_a_fine_surface_faces_as_all_of_it(
 ) -> None:
     pairs = [(reference.femur, x) for x in reference.tibia]
     pairs += [(x, reference.femur) for x in reference.tibia]
-    whole = [sheets.facing_normals(*x) for x in pairs]
-    monkeypatch.setattr(sheets, "MOST_WHOLE", 5000)
-    monkeypatch.setattr(sheets, "LOOKED_AT", 4000)
     part = [sheets.facing_normals(*x) for x in pairs]
+    monkeypatch.setattr(sheets, "LOOKED_AT", 10**6)
+    whole = [sheets.facing_normals(*x) for x in pairs]
     np.testing.assert_allclose(part, whole, atol=0.05)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from diagnoses import FRAME, diagnosed
 
+import identknee as ik
 from identknee.diagnosis.verdict import Verdict
 from identknee.verbs.diagnosis import advice_findings
 
@@ -37,3 +38,12 @@ def test_trials_are_advised_once_and_only_where_they_are_asked_for(
     assert not asked
     assert (ambiguous.advice, ambiguous.advice) == (None, None)
     assert len(asked) == 1
+
+
+def test_values_that_the_parameters_can_always_fit_are_not_testable() -> None:
+    knee = ik.example("s192803_bundles")
+    exact = ik.simulate(knee).laxity
+    one, two = (ik.diagnose(knee, exact.select(x), noise="0.3mm,0.3deg") for x in ([3], [3, 5]))
+    assert one.verdict is Verdict.NOT_TESTABLE
+    assert one.p_value is None
+    assert two.verdict is Verdict.ADEQUATE
