@@ -11,7 +11,7 @@ from common.page import table
 import identknee as ik
 from identknee.model.effects.facts import cause_label
 
-NULLS, ONE = "nothing hidden", "one"
+NULLS, ONE, UNLISTED = "nothing hidden", "one", "unlisted"
 SILENT = ("ADEQUATE", "NOT_TESTABLE")
 WIDTH = 120  # of the page
 Row = Mapping[str, Any]
@@ -66,7 +66,10 @@ def sentences(record: Row) -> dict[str, str]:
     cases = cases_of(record)
     alone = [x for x in cases if x["series"] == ONE]
     by_signal = [_named(x, [y for y in alone if y["wanted"] == x]) for x in signals_of(alone)]
-    wrong = ik.identify.share(sum(ending(x) is Ending.WRONG for x in cases), len(cases))
+    misnamed = [x for x in cases if ending(x) is Ending.WRONG]
+    wrong = ik.identify.share(len(misnamed), len(cases))
+    unlisted = all(x["series"] == UNLISTED for x in misnamed)
+    which = ", all with an effect that no library lists," if misnamed and unlisted else ""
     nulls = [x for x in cases if x["series"] == NULLS]
     alarms = sum(x["verdict"] not in SILENT for x in nulls)
     right = [x for x in cases if x["verdict"] == "NAMED" and ending(x) is Ending.RIGHT]
@@ -74,7 +77,7 @@ def sentences(record: Row) -> dict[str, str]:
     held = 100 * values_of(right, "coverage").mean(axis=0) if right else [np.nan] * 2
     answer = (
         f"{' '.join(by_signal)} A wrong name is given in {wrong.count} of all {len(cases)} cases "
-        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence), and an alarm is raised in "
+        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence){which} and an alarm is raised in "
         f"{alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases named "
         f"correctly the median error of the stiffnesses falls from {errors[0]:.2f} to "
         f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals contain the "
