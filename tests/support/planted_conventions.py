@@ -4,12 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import WhitenedResiduals
-from identknee.checks.broken_convention import BrokenConvention
+from identknee.checks.broken_convention import BrokenConvention, find_broken_convention
 from identknee.checks.usable_trials import TrialSearch, defined_everywhere, table_model
 from identknee.laxity.protocol import LOADS, Protocol, concatenate, load_protocol
 from identknee.laxity.table import (
@@ -304,3 +305,46 @@ PLANTED: Mapping[str, Planted] = {
         what="taking coordinates for absolute ones",
     ),
 }
+
+
+def convention_outcome(task: tuple[str, str, int, Sequence[str]]) -> dict[str, Any]:
+    """Of a table drawn with this seed, planted or sound: what is said of its conventions.
+
+    Each place of the last entry, all knees in their order, goes through all conventions.
+    """
+    kind, knee, seed, knees = task
+    return _planted_outcome(knee, seed, knees) if kind == "planted" else _sound_outcome(knee, seed)
+
+
+def _planted_outcome(knee: str, seed: int, knees: Sequence[str]) -> dict[str, Any]:
+    """A planted convention: how far it moves the table, and whether it is named."""
+    # Each place of the knees goes through all conventions, in steps that do not meet.
+    turn, place = divmod(seed, len(knees))
+    title = list(PLANTED)[(turn + 9 * place) % len(PLANTED)]
+    planted, drawn = PLANTED[title], drawn_table(knee, seed)
+    try:
+        broken, moved = planted.broken(drawn.laxity), moved_by(drawn, planted)
+    except ValueError:
+        # No file of the kind would be read.
+        return {"title": title, "moved": None, "is_named": False, "said": "refused"}
+    model, _ = table_model(drawn.model.knee, broken)
+    found = find_broken_convention(model, broken, model.parameters.start)
+    said = "nothing" if found is None else " or ".join((found.what, *found.others))
+    return {
+        "title": f"{title}, seed {seed}",
+        "moved": min(moved, 1e9),
+        "is_named": planted.is_named(found),
+        "said": said,
+    }
+
+
+def _sound_outcome(knee: str, seed: int) -> dict[str, Any]:
+    """A sound table, every other one of a knee that the model is wrong about."""
+    drawn = drawn_table(knee, seed, is_wrong=seed % 2 == 1, has_curves=seed % 4 < 2)
+    model, _ = table_model(drawn.model.knee, drawn.laxity)
+    found = find_broken_convention(model, drawn.laxity, model.parameters.start)
+    return {
+        "title": f"{drawn.cause or 'nothing wrong'}, seed {seed}",
+        "is_accused": found is not None,
+        "said": "" if found is None else found.what,
+    }

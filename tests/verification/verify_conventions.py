@@ -1,17 +1,15 @@
 """Broken conventions of tables of unstated noise: planted ones are named, sound tables are not."""
 
 import argparse
-from collections.abc import Iterator
-from itertools import islice
 from typing import Any
 
-from planted_conventions import PLANTED, drawn_table, moved_by
+from planted_conventions import convention_outcome
 from requirement_rows import Measure, Row
 from scipy.stats import binomtest
 from work_store import work_store
 
-from identknee.checks.broken_convention import find_broken_convention
-from identknee.checks.usable_trials import table_model
+from identknee.runs.executors import process_pool
+from identknee.runs.store import resumable_map
 
 # S192803 takes as long as the other knees together.
 KNEES = (
@@ -22,66 +20,30 @@ KNEES = (
     "reference",
     "s192803",
 )
-N_CASES = 480  # of each kind; three of four conventions drawn move their table
+# Seven of ten conventions drawn move their table.
+N_PLANTED, N_SOUND = 450, 306
 MOVED = 3.0  # units of the noise from which a convention must be named
-LEAST, EVERY = 300, 20
+LEAST = 300
 
 
-def parts(options: argparse.Namespace) -> Iterator[Row]:
-    """The row, again after every few cases."""
-    del options
-    done: list[dict[str, Any]] = []
-    with work_store("conventions", {"n": N_CASES, "knees": list(KNEES)}) as store:
-        cases = _cases()
-        while some := list(islice(cases, EVERY)):
-            for kind, knee, seed in some:
-                key = f"{kind} {seed}"
-                if (found := store.get(key)) is None:
-                    found = _planted(knee, seed) if kind == "planted" else _sound(knee, seed)
-                    store.put_many({key: found})
-                done.append({"kind": kind, "knee": knee, **found})
-            yield _row(done)
-
-
-def _cases() -> Iterator[tuple[str, str, int]]:
-    for seed in range(N_CASES):
-        knee = KNEES[seed % len(KNEES)]
-        yield "planted", knee, seed
-        yield "sound", knee, seed
-
-
-def _planted(knee: str, seed: int) -> dict[str, Any]:
-    """A planted convention: how far it moves the table, and whether it is named."""
-    # Each place of the knees goes through all conventions, in steps that do not meet.
-    turn, place = divmod(seed, len(KNEES))
-    title = list(PLANTED)[(turn + 9 * place) % len(PLANTED)]
-    planted, drawn = PLANTED[title], drawn_table(knee, seed)
-    try:
-        broken, moved = planted.broken(drawn.laxity), moved_by(drawn, planted)
-    except ValueError:
-        # No file of the kind would be read.
-        return {"title": title, "moved": None, "is_named": False, "said": "refused"}
-    model, _ = table_model(drawn.model.knee, broken)
-    found = find_broken_convention(model, broken, model.parameters.start)
-    said = "nothing" if found is None else " or ".join((found.what, *found.others))
-    return {
-        "title": f"{title}, seed {seed}",
-        "moved": min(moved, 1e9),
-        "is_named": planted.is_named(found),
-        "said": said,
-    }
-
-
-def _sound(knee: str, seed: int) -> dict[str, Any]:
-    """A sound table, every other one of a knee that the model is wrong about."""
-    drawn = drawn_table(knee, seed, is_wrong=seed % 2 == 1, has_curves=seed % 4 < 2)
-    model, _ = table_model(drawn.model.knee, drawn.laxity)
-    found = find_broken_convention(model, drawn.laxity, model.parameters.start)
-    return {
-        "title": f"{drawn.cause or 'nothing wrong'}, seed {seed}",
-        "is_accused": found is not None,
-        "said": "" if found is None else found.what,
-    }
+def measure(options: argparse.Namespace) -> Row:
+    """Shares named and accused, and all that went wrong."""
+    tasks = [
+        (kind, KNEES[seed % len(KNEES)], seed, KNEES)
+        for kind, n in (("planted", N_PLANTED), ("sound", N_SOUND))
+        for seed in range(n)
+    ]
+    about = {"n": [N_PLANTED, N_SOUND], "knees": list(KNEES)}
+    with work_store("conventions", about) as store, process_pool(options.workers) as executor:
+        found = resumable_map(
+            convention_outcome, tasks, executor=executor, store=store, description="tables"
+        )
+    return _row(
+        [
+            {"kind": kind, "knee": knee, **x}
+            for (kind, knee, *_), x in zip(tasks, found, strict=True)
+        ]
+    )
 
 
 def _row(done: list[dict[str, Any]]) -> Row:
