@@ -875,8 +875,8 @@ def _reason_untestable(knee: Knee, laxity: Laxity) -> str:
     n_parameters = LaxityModel(knee=knee, protocol=laxity.protocol).parameters.n
     if (n_values := int(laxity.is_measured.sum())) <= n_parameters:
         return (
-            f"{n_values} measured values leave no misfit to test, as the {n_parameters} parameters "
-            "can fit any values. Measure more trials."
+            f"{n_values} measured values cannot test a model of {n_parameters} parameters, as no "
+            "degree of freedom is left for a misfit. Measure more trials."
         )
     return (
         "No parameters near the subject's have a prediction in every measured trial. See: "

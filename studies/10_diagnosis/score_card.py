@@ -77,9 +77,9 @@ def sentences(record: Row) -> dict[str, str]:
     held = 100 * values_of(right, "coverage").mean(axis=0) if right else [np.nan] * 2
     answer = (
         f"{' '.join(by_signal)} A wrong name is given in {wrong.count} of all {len(cases)} cases "
-        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence){which} and an alarm is raised in "
-        f"{alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases named "
-        f"correctly the median error of the stiffnesses falls from {errors[0]:.2f} to "
+        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence){which} and an alarm is raised "
+        f"in {alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases "
+        f"named correctly the median error of the stiffnesses falls from {errors[0]:.2f} to "
         f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals contain the "
         f"true value instead of {held[0]:.0f} %."
     )

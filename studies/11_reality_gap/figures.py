@@ -68,7 +68,7 @@ def verdict_figure(record: Row) -> Figure:
             chance.annotate(
                 x["verdict"].replace("_", " ").lower(),
                 (x["assumed_sd"], x["p_value"]),
-                xytext=(0, 8 if k == 0 else -14 - 10 * (i % 2)),
+                xytext=(0, 8 if k == 0 else -24 + 10 * (i % 2)),
                 ha="center",
                 textcoords="offset points",
                 fontsize=ik.report.SMALL - 1,

@@ -42,7 +42,7 @@ NOT_COMPARED = {"seconds", "sentence"}
 WORK = {"n_simulations", "n_polishing"}
 WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # Records older than a change of what they record. A search for an equilibrium that ends within
-# 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09, 11)
+# 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09)
 # and bootstraps of ranks to others (07). Searches on a measured knee find lower fits since
 # trials without equilibrium have residuals (15), and fits of gross misfit, as with wrong insertions
 # that are not stated, since others begin with each stiffness nearly gone (12, 14). Differences are
@@ -51,7 +51,6 @@ SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
     "09_optimizers",
-    "11_reality_gap",
     "12_geometry_uncertainty",
     "14_uncertain_geometry",
     "15_measured_knee",
