@@ -1,1 +1,1 @@
-"""The command line; one file a verb, no logic of its own."""
+"""The command line, made from the signatures of the verbs."""

@@ -30,14 +30,14 @@ from identknee.verbs.registry import Verb, verb_named, verbs
 if TYPE_CHECKING:
     from identknee.verbs.answer import Answer
 
-# Of a path or a value that is absurdly long.
+# An error sentence may quote a path or value that is absurdly long.
 LONGEST_SENTENCE = 2000
-# What files can hold, and what no computer can do.
+# Files store seeds as 64-bit integers; no computer finishes more than the largest count.
 LARGEST_SEED, LARGEST_COUNT = 2**63 - 1, 10**8
 NOT_COMPUTED, WRONG_INPUT, INTERRUPTED = 1, 2, 130
 STOPPED = "stopped; the same command does it again from the start"
 STOPPED_WORK = "stopped; what was finished is kept in --out, and the same command resumes"
-# What a verb was called with, and whether its folder --out is its own.
+# Keys of the context: the options of the call, and whether the call itself makes --out.
 SETTINGS, IS_NEW = "identknee.settings", "identknee.is_new"
 
 
@@ -51,7 +51,7 @@ Verbose = Annotated[
 
 
 class Command(typer.core.TyperCommand):
-    """A verb that leaves the values it was called with to its group."""
+    """A command that stores its options for the error handling of its group."""
 
     @override
     def invoke(self, ctx: Any) -> Any:
@@ -68,11 +68,11 @@ class Command(typer.core.TyperCommand):
 
 
 class CommandGroup(typer.core.TyperGroup):
-    """Verbs that end with a sentence and an exit code instead of a traceback."""
+    """Commands that end with a sentence and an exit code instead of a traceback."""
 
     @override
     def invoke(self, ctx: Any) -> Any:
-        """Result of the verb, its mistakes turned into exit codes."""
+        """Result of the verb, with errors turned into exit codes."""
         try:
             with warnings_to_log():
                 return super().invoke(ctx)
@@ -94,15 +94,15 @@ class CommandGroup(typer.core.TyperGroup):
         if ctx.meta.get(IS_NEW):
             with suppress(OSError):
                 ctx.meta[SETTINGS]["out"].rmdir()
-        # A file that is no text may bring anything into the sentence about it.
-        plain = sentence.replace("\n", " ")
-        line = "".join(x if x.isprintable() else "?" for x in plain[:LONGEST_SENTENCE])
+        # The sentence may quote a binary file.
+        shown = sentence.replace("\n", " ")[:LONGEST_SENTENCE]
+        line = "".join(x if x.isprintable() else "?" for x in shown)
         typer.echo(f"identknee: {line}", err=True)
         raise typer.Exit(code)
 
 
 def _ends_command(error: Exception) -> bool:
-    """Whether an exception is how typer ends a command, or one that it answers itself."""
+    """Whether typer itself should handle an exception: its own ones and a closed pipe."""
     # A closed pipe, as in `identknee ... | head`, is no error.
     if isinstance(error, OSError):
         return error.errno == errno.EPIPE
@@ -116,7 +116,7 @@ def _expected_error(error: Exception) -> tuple[str, int] | None:
     if isinstance(error, typer.BadParameter):
         return option_sentence(error), WRONG_INPUT
     if isinstance(error, NotComputable | ModuleNotFoundError | WorkerTerminated):
-        # That Python reported a missing module; identknee itself says what to do.
+        # Messages of identknee already say what to do; those of Python's import do not.
         is_python = isinstance(error, ModuleNotFoundError) and error.name is not None
         hint = ". To see what is missing: identknee doctor" if is_python else ""
         return f"{error}{hint}", NOT_COMPUTED
@@ -132,7 +132,7 @@ def _expected_error(error: Exception) -> tuple[str, int] | None:
 def option_sentence(error: typer.BadParameter) -> str:
     """What is wrong with an option and where to read about it, as one sentence."""
     where = "identknee" if error.ctx is None else error.ctx.command_path
-    # The library that checks types puts words before the message and a full stop behind it.
+    # pydantic puts a prefix before the message and a full stop behind it.
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     return f"{message}. See: {where} --help"
 
@@ -141,7 +141,7 @@ def is_identknee_error(error: ValueError) -> bool:
     """Whether the error was raised by identknee for the caller, rather than inside a library."""
     if isinstance(error, InputError):
         return True
-    # An error from a worker process brings the trace of where it was raised as text.
+    # An error from a worker process carries its traceback as text.
     remote = str(getattr(error.__cause__, "tb", ""))
     if remote:
         return "identknee" in remote.rpartition('File "')[2].partition('"')[0]
@@ -176,7 +176,7 @@ def finished(
     if answer.remark:
         typer.echo(answer.remark, err=True)
     if answer.failure:
-        # In full where the answer is no text, or does not say it.
+        # In full with --json, which prints no findings as text, or where no finding says it.
         own = [x.code for x in answer.findings if x.sentence == answer.failure]
         is_said = own and not as_json
         raise NotComputable(NOTHING_HOLDS.format(own[0]) if is_said else answer.failure)
@@ -185,7 +185,7 @@ def finished(
 def end_with_errors(answer: "Answer") -> None:
     """Leave with exit code 1 if the answer has a finding that is an error.
 
-    The sentence has its code alone: what was found stands in the answer.
+    The message names the codes only: the answer has the sentences.
     """
     codes = dict.fromkeys(x.code for x in answer.findings if x.severity is Severity.ERROR)
     if codes:
@@ -196,10 +196,10 @@ def end_with_errors(answer: "Answer") -> None:
 
 
 def print_result(found: Any, *lines: str, as_json: bool) -> None:
-    """Print what a function found that leaves no files: as JSON, or in its own words."""
+    """Print the result of a command that writes no files: as JSON, or as text."""
     summary = {}
     if as_json:
-        # A broken installation, of which only words are wanted, may lack what this loads.
+        # `doctor` must print its text even where xarray is missing, which this loads.
         from identknee.runs.schema import summary_of
 
         summary = summary_of(found)
@@ -215,7 +215,7 @@ PAGE = "report.html"
 
 
 class VerbGroup(CommandGroup):
-    """Commands, of which those of the verbs are made when they are called."""
+    """A group whose verbs become full commands only when they are called."""
 
     # The word in front of its commands.
     word = ""
@@ -227,7 +227,7 @@ class VerbGroup(CommandGroup):
         own = {last: f"{word} {last}".strip() for word, _, last in names if word == self.word}
         waiting = {x.name: x for x in verbs() if x.name in own.values()}
         made = {last: WaitingCommand(waiting[name], last) for last, name in own.items()}
-        # A list of what there is comes before what to do with it.
+        # In a subgroup its own command `list` comes first.
         self.commands = {**self.commands, **made} if self.word else {**made, **self.commands}
 
 
@@ -238,7 +238,7 @@ class SubjectGroup(VerbGroup):
 
 
 class WaitingCommand(typer.core.TyperCommand):
-    """The command of a verb, of which only the line of help is known until it is called."""
+    """A placeholder with the help line of a verb; calling it loads the real command."""
 
     def __init__(self, verb: Verb, name: str) -> None:
         super().__init__(name, help=verb.summary, rich_markup_mode=None)
@@ -335,7 +335,7 @@ def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
         metavar = stated.metavar if default is own.empty else f"[{stated.metavar}]"
         about = typer.Argument(metavar=metavar, help=text, callback=callback)
     else:
-        # A flag has no opposite, as a single name says.
+        # A single name keeps typer from adding the opposite flag --no-NAME.
         flags = [stated.flag or f"--{own.name.replace('_', '-')}"] * bool(
             stated.flag or typed is bool
         )
@@ -353,8 +353,8 @@ def _parameter(own: inspect.Parameter, verb: Verb) -> inspect.Parameter:
 def _typed(annotation: Any, typed: Any) -> Any:
     if typed is not None:
         return typed
-    plain = get_args(annotation)[0]
-    return list[str] | None if plain == Sequence[str] | None else plain
+    inner = get_args(annotation)[0]
+    return list[str] | None if inner == Sequence[str] | None else inner
 
 
 def _subject_word(word: str) -> str:

@@ -1,4 +1,4 @@
-"""What results open with where their fit is rejected or implausible: why, and what to do next."""
+"""The first sentences of results whose fit is rejected or implausible: why, and what to do next."""
 
 import shlex
 from collections.abc import Collection, Iterable, Mapping
@@ -10,9 +10,9 @@ from identknee.runs.findings import RANKS, Doubt, Finding, Severity
 from identknee.verbs.answer import Answer
 
 NEXT = "diagnose"
-# Options that are part of the question, and those of them that are given once for each value.
+# Options that the suggested command repeats, and those of them that take one value each.
 GIVEN, REPEATED = ("uncertain", "noise", "plausible", "keep", "leave_out"), ("keep", "leave_out")
-# Findings that come first, and the length of a sentence that is said there as it is.
+# Findings that come first, and the longest sentence that is not shortened there.
 MOST_FINDINGS, LONGEST = 3, 240
 
 
@@ -57,7 +57,7 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
         else:
             sentences.append(leading[0].sentence)
             brief.append(leading[0].sentence)
-        # An error of the data is no less of one after its misfit was stated.
+        # An error in the data is still listed after its misfit was stated.
         said += [*leading, *(x for x in own if x.severity is not Severity.ERROR)]
     n_brief = len(brief)
     if sentences and not is_command_said:
@@ -92,7 +92,7 @@ def command_on_data(verb: str, settings: Mapping[str, Any]) -> str:
     words = ["identknee", verb, str(settings.get("subject") or "SUBJECT"), *tables]
     for name in GIVEN:
         value = settings.get(name) or ()
-        # Objects given in Python are no words of a command.
+        # Objects given in Python cannot be written on a command line.
         values = [x for x in ([value] if isinstance(value, str) else value) if isinstance(x, str)]
         if values and name not in REPEATED:
             values = [",".join(values)]
@@ -104,7 +104,7 @@ def command_on_data(verb: str, settings: Mapping[str, Any]) -> str:
 def brief_line(finding: Finding) -> str:
     """A finding on a line or two: its sentence, or what its kind means if that is long.
 
-    An error is said whole: it is what has to be found.
+    An error is never shortened: its details are needed to find it.
     """
     kind, is_error = finding.kind, finding.severity is Severity.ERROR
     if is_error or len(finding.sentence) <= LONGEST or not kind.code:

@@ -42,13 +42,13 @@ from identknee.verbs.fit import Calibration
 from identknee.verbs.question import Question
 from identknee.verbs.sweep import Sweep
 
-# Ends as near as this share of a set's width are the same for every purpose.
+# Share of a set's width: ends that differ by less count as equal.
 NEAR = 0.15
 
 
 @unique
 class Relation(Enum):
-    """How one range lies to another; the value follows the name of its method."""
+    """How one range compares with another; the value follows the name of its method."""
 
     SAME = "agrees"
     NARROWER = "is narrower"
@@ -232,10 +232,9 @@ ENDED = {
 
 def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
     """Fits and sweeps in a few sentences; none without a search."""
-    fits = {
-        x: y for x, y in fits_by_start(answers).items() if y.outcome is not Outcome.START_FAILED
-    }
-    failed = [x for x in fits_by_start(answers).values() if x.outcome is Outcome.START_FAILED]
+    all_fits = fits_by_start(answers)
+    fits = {x: y for x, y in all_fits.items() if y.outcome is not Outcome.START_FAILED}
+    failed = [x for x in all_fits.values() if x.outcome is Outcome.START_FAILED]
     return (
         *(_several(fits) if len(fits) > 1 else _each(fits.values())),
         *_each(failed),
@@ -251,7 +250,7 @@ def disagreement(answers: Sequence[Answer]) -> str:
 
 
 def has_better_fit(fit: Calibration, others: Iterable[Calibration]) -> bool:
-    """Whether another fit of the same data leaves less, of lengths as of angles."""
+    """Whether another fit of the same data has smaller errors of both lengths and angles."""
     return fit.rmse.n_compared > 0 and any(
         np.array_equal(x.data.coordinates, fit.data.coordinates, equal_nan=True)
         and x.rmse.n_compared >= fit.rmse.n_compared
@@ -306,7 +305,7 @@ def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
 
 
 def _alike(fits: Mapping[str, Calibration]) -> str:
-    """Fits that ended alike, in one sentence; empty where they did not or are many."""
+    """Fits that ended alike, in one sentence; empty where they differ or are many."""
     one = next(iter(fits.values()))
     alike = {(_errors(x), x.outcome, x.method) for x in fits.values()}
     if len(alike) > 1 or len(fits) > MOST_LISTED_FITS:
@@ -460,7 +459,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
     differ = disagreement(answers)
     fits = of_type(answers, Calibration)
-    # Of a fit that another beats no warning leads the page.
+    # Warnings of a fit that another one beats do not lead the page.
     opening = opening_of(
         x for x in answers if not any(has_better_fit(y, fits) for y in of_type([x], Calibration))
     )
@@ -557,7 +556,7 @@ def _model(diagnosis: Diagnosis | None) -> tuple[str, Tone]:
 def _known(
     rows: Sequence[Row], unknown: Sequence[Row], diagnosis: Diagnosis | None, opening: Opening
 ) -> str:
-    """How many parameters are known, and on what proviso."""
+    """How many parameters are known, and on what condition."""
     if not rows:
         return ""
     n, proviso = len(rows), ""

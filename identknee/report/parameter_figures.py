@@ -253,7 +253,7 @@ def corner_figure(names: Sequence[str], draws: Array, *, truth: ArrayLike | None
     names
         Parameters.
     draws
-        Draws as good as independent, shape ``(k, n)``.
+        Nearly independent draws, shape ``(k, n)``.
     truth
         Known theta, shape ``(n,)``.
     """
@@ -372,7 +372,7 @@ def _legend_above(
     )
 
 
-# Letters of a line below a small panel.
+# Characters on a line below a small panel.
 CORNER_LETTERS = 12
 
 
@@ -555,11 +555,11 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
 
 def _on_three_lines(name: str) -> str:
     owner, _, quantity = name.rpartition(".")
-    words, _, unit = quantity.rpartition("_")
-    return f"{owner}\n{words.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
+    kind, _, unit = quantity.rpartition("_")
+    return f"{owner}\n{kind.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
 
 
-# From nothing to everything: dark means much, in grey prints too.
+# Dark means a large index, in greyscale prints too.
 MAP = "viridis_r"
 # Panels side by side, and inches of them together, enough for the names in the legend.
 MAPS_ACROSS, WIDTH = 2, 9.0

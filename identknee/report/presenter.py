@@ -1,6 +1,6 @@
-"""How the report shows answers: one presenter a class of answers, found by the name of the class.
+"""How the report shows answers: one presenter per class, found by the name of the class.
 
-Nothing here loads figures or the answers of other verbs: a terminal prints what it has at once.
+Nothing here imports figures or other verbs, so that a terminal prints an answer at once.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -48,7 +48,7 @@ class Question(Enum):
 
     @property
     def heading(self) -> str:
-        """How the page puts it."""
+        """Heading of the part on the page."""
         return _HEADINGS[self]
 
 
@@ -70,7 +70,7 @@ class Statement:
     tables: tuple[Table, ...] = entry("The numbers behind it", default=())
     is_answer: bool = entry("Whether it leads its part of the page", default=False)
     warning: Finding | None = entry(
-        "Findings: warnings about the result, where the sentence does; it leads the page",
+        "The warning that the sentence states, if it is one; it leads the page",
         default=None,
     )
 
@@ -217,11 +217,11 @@ class Presenter(Generic[Given]):
         return {}
 
     def ranges(self, _answer: Given) -> Iterator[tuple[str, Range]]:
-        """Parameters and forces, by its name."""
+        """Each parameter and force by its name, with what the answer says of it."""
         yield from ()
 
     def doubt(self, answer: Given, _source: Source) -> str | None:
-        """Why nothing that a method of the answer says is known; None where nothing says so."""
+        """Why values of the answer do not count as known, in words; None where they may."""
         found = doubt_of(answer.findings)
         return None if found is None else found.value
 
@@ -232,7 +232,7 @@ class Presenter(Generic[Given]):
                 yield x.sentence
 
     def headline(self, _answer: Given) -> str:
-        """What comes before everything else that results say together; mostly nothing."""
+        """A sentence that leads the page; empty for most answers."""
         return ""
 
     def protocol(self, _answer: Given) -> Protocol | None:
@@ -252,7 +252,7 @@ class Presenter(Generic[Given]):
         return ()
 
     def joined(self, _first: Given, _later: Given) -> Given | None:
-        """Two answers from the same data as one; None if they stand side by side."""
+        """Two answers from the same data merged into one; None if they are shown separately."""
         return None
 
 
@@ -270,7 +270,7 @@ def optimizer_sources(method: str) -> tuple[str, ...]:
 
 
 def presenter_of(answer: Answer) -> Presenter[Any]:
-    """What shows the answer."""
+    """The presenter of an answer."""
     place = PRESENTERS[type(answer).__name__]
     presenter: type[Presenter[Any]] = resolve_name(f"identknee.report.answers.{place}")
     return presenter()

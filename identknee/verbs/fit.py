@@ -135,13 +135,11 @@ class HeldOut:
     @property
     @derived("Names of the trials")
     def trials(self) -> tuple[str, ...]:
-        """Names of the trials."""
         return tuple(dict.fromkeys(x.trial for x in self.values))
 
     @property
     @derived("Trials in which the model has no prediction")
     def lost(self) -> tuple[str, ...]:
-        """Trials in which the model has no prediction."""
         return tuple(dict.fromkeys(x.trial for x in self.values if np.isnan(x.predicted)))
 
     @property
@@ -192,7 +190,7 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
 def predicted(
     knee: Knee, fitted: tuple[Problem, Laxity, Array], measured: Laxity, fixed: Sequence[str]
 ) -> HeldOut:
-    """What the fitted knee predicts of trials, none of whose measured poses are looked at.
+    """What the fitted knee predicts of trials, without using their measured poses.
 
     Parameters
     ----------
@@ -261,7 +259,7 @@ def prediction_uncertainty(
     return whole, noise, float(degrees.sum())
 
 
-# Of values with a weight below this so many are named.
+# Values with a weight below the first number are named, at most as many as the second.
 LIGHT, MOST_FAR = 0.5, 6
 
 
@@ -390,49 +388,41 @@ class Calibration(SimulatedLaxity):
     @property
     @derived("How the search ended")
     def outcome(self) -> Outcome:
-        """How the search ended."""
         return self.search.outcome
 
     @property
     @derived("How the search ended, as a sentence")
     def sentence(self) -> str:
-        """How the search ended, as a sentence."""
         return self.search.message
 
     @property
     @derived("Half the sum of squared residuals", unit="mm2 and deg2, or 1 with noise weighting")
     def objective(self) -> float:
-        """Half the sum of squared residuals."""
         return self.search.objective
 
     @property
     @derived("Simulations made by the search", unit="1")
     def n_simulations(self) -> int:
-        """Simulations made by the search."""
         return self.search.n_simulations
 
     @property
     @derived("The optimizer")
     def method(self) -> str:
-        """The optimizer."""
         return self.search.method
 
     @property
     @derived("Parameters begun at, by ligament and quantity", unit=OF_PARAMETER)
     def start_parameters(self) -> dict[str, dict[str, float]]:
-        """Parameters begun at, by ligament and quantity."""
         return by_ligament(dict(zip(self.parameter_names, self.search.start.tolist(), strict=True)))
 
     @property
     @derived("Names of parameters at a bound")
     def at_bounds(self) -> tuple[str, ...]:
-        """Names of parameters at a bound."""
         return self.search.at_bounds
 
     @property
     @derived("Measured trials in which the model has no prediction", only="a trial lost")
     def trials_without_equilibrium(self) -> tuple[TrialEnd, ...]:
-        """Measured trials in which the model has no prediction."""
         measured = np.any(self.data.is_measured, axis=1).tolist()
         return tuple(
             x
@@ -529,7 +519,7 @@ def fit(
     elif measured.sd is not None and (
         measured.has_forces or measured.protocol.experiments or subject.plausibility
     ):
-        # In its units alone do forces, limits or rigs of different noise count together.
+        # Only in units of the noise can forces, limits and rigs of different noise be added.
         weighting = "noise"
     laxity, is_held = split(measured, hold_out or ())
     model, pattern = table_model(subject, laxity, continuation)
@@ -624,7 +614,7 @@ def fit(
 def _fit_again(
     trials: TrialSearch, used: TrialSelection, found: Fit, search_from: Callable[..., Fit]
 ) -> tuple[TrialSearch, TrialSelection, Fit]:
-    """A fit with the errors that are linear at the first one; this where there are none."""
+    """A fit with errors linearised at the first fit; the first fit where there are none."""
     linear, start = trials.linear_at(found.theta), found.start
     if linear is trials:
         return trials, used, found
@@ -644,7 +634,7 @@ def _fits_from(
     """Fits from other points, the lowest first, and those without limits where limits count."""
     without: tuple[Fit, ...] = ()
     if trials.model.knee.plausibility:
-        # What limits cost is asked of the best fit without them, where another search begins too.
+        # The price is relative to the best fit without limits; one more search begins there.
         plain = trials.without_limits.problem_everywhere(used.laxity)
         without = further(plain, search_from(plain, used.start, fixed=trials.fixed), points)
         points = np.vstack([points, without[0].theta])

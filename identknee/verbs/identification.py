@@ -417,7 +417,7 @@ def no_prediction(setup: Identification) -> NotComputable:
 
 
 def no_prediction_finding(setup: Identification) -> Finding:
-    """The sentence about the noise as a finding."""
+    """The finding behind `no_prediction`."""
     return prediction_finding(setup.model, setup.laxity, setup.free.fixed_values)
 
 

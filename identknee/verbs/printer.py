@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Printer(Protocol):
-    """What an answer is shown by."""
+    """Shows answers as text, tables and figures."""
 
     def full_text(self, answer: Any) -> str:
         """All that the answer says."""
@@ -24,7 +24,7 @@ class Printer(Protocol):
         """What a notebook shows."""
 
     def figure(self, answer: Any, name: str | None, **where: Any) -> "Figure":
-        """A figure of that name, or the most telling one."""
+        """A figure of that name, or the most informative one."""
 
     def dataframe(self, answer: Any, table: str | None) -> "DataFrame":
         """A table of that name, or the first one."""
@@ -37,7 +37,7 @@ _given: list[Callable[[], Printer]] = []
 
 
 def set_printer(load: Callable[[], Printer]) -> None:
-    """Show answers by what `load` gives back, called when the first is to be seen."""
+    """Register `load`, which returns the printer; it is called whenever an answer is shown."""
     _given[:] = [load]
 
 

@@ -1,6 +1,6 @@
 """All verbs, each with what the command line, the result files and the report know of it.
 
-It loads nothing but itself: a verb is imported when it is called.
+This module imports no verb: a verb is imported when it is called.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,24 +18,23 @@ class Verb:
     name
         Name in records and on the command line, there with its group: ``"subject check"``.
     module
-        Where the function stands, if not in the module of the verb's name.
+        Module of the function, if not named after the verb.
     function
-        Name of the function there, if not that of the verb.
+        Name of the function, if not that of the verb.
     answer
         Name of the class of its answer, in `answer_module`, or in `module` if that is empty.
     summary
-        One line of help; empty for what is no command.
+        One line of help; empty if the verb has no command.
     example
         What follows the name in the example of its help.
     folder
-        Folder of the results on the command line if ``--out`` is not given and it is not named
-        after the verb.
+        Default of ``--out`` on the command line, if not named after the verb.
     resumes
-        Whether a run that was stopped goes on where it was.
+        Whether a stopped run resumes.
     is_reported
         Whether the report takes its results.
     suggestion
-        The question by which the report suggests it where nobody has asked it yet.
+        The question with which the report suggests the verb where it was not run yet.
     has_pictures
         Whether the command writes pictures beside the results.
     parameter_rank
@@ -236,7 +235,7 @@ _VERBS = [
 
 
 def register(verb: Verb) -> None:
-    """Add a verb whose function stands above this package."""
+    """Add a verb that is defined in a higher layer than this package."""
     if all(x.name != verb.name for x in _VERBS):
         _VERBS.append(verb)
 
@@ -247,7 +246,7 @@ def verbs() -> tuple[Verb, ...]:
 
 
 def verb_named(name: object) -> Verb | None:
-    """The verb that records call so; None if there is none."""
+    """The verb of this name in records; None if there is none."""
     return next((x for x in _VERBS if x.name == name), None)
 
 

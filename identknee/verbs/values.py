@@ -90,7 +90,7 @@ def values_of(values: ValuesLike) -> dict[str, float]:
     Raises
     ------
     ValueError
-        If a text has another form, or a stiffness can only be N per unit strain.
+        If a text has another form, or a stiffness is so large that its unit must be N.
     """
     if isinstance(values, Mapping):
         found = {name: float(value) for name, value in values.items()}
@@ -141,12 +141,12 @@ def _pair(name: str, given: object) -> tuple[float, float]:
 
 
 def check_word(option: str, word: str, words: Sequence[str]) -> None:
-    """Refuse a word that is none of those an option knows.
+    """Refuse a word that an option does not know.
 
     Raises
     ------
     ValueError
-        Naming them.
+        It lists the known words.
     """
     if word not in words:
         raise ValueError(f"{option} {word}: it is none of {', '.join(words)}")

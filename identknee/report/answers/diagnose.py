@@ -354,8 +354,7 @@ def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     return Statement(
         question=Question.NEXT,
         sentence=f"Knowing the {error_words(best)} twice as well"
-        f"{sizes_words(answer.nuisances, best)} would separate the nearest rival by "
-        f"{least[best]:.1f} "
+        f"{sizes_words(answer.nuisances, best)} would put the nearest rival {least[best]:.1f} "
         f"units of noise away instead of {now:.1f}; the first trial to add, {trial:.1f}.",
         tables=(
             table(
