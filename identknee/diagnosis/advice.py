@@ -1,4 +1,4 @@
-"""Which trials to add so that explanations that fit alike come apart."""
+"""Which trials to add to distinguish explanations that fit equally well."""
 
 from collections.abc import Mapping, Sequence
 from itertools import permutations
@@ -49,8 +49,8 @@ from identknee.subject.knee import Knee
 
 # Rivals beyond these follow from the nearest ones.
 MOST_RIVALS = 6
-# In units of noise: where explanations that fit alike differ by more in a single value, one of the
-# knees jumps, and whether it does depends on parameters that hardly differ.
+# In units of noise: explanations that fit alike but differ by more in a single value do so because
+# a knee jumps, which depends on tiny differences of parameters.
 MOST_DIFFERENCE = 10.0
 
 
@@ -84,7 +84,7 @@ class AdviceCandidates:
     def nuisances(self, fitted: FittedModel) -> WhitenedRows:
         """What nuisances change, for one prior standard deviation of each in the last dimension."""
         choice = self._choice(fitted.model, fitted.theta)
-        # One that is made and offered is there once.
+        # A trial that is both made and offered appears once.
         whole = concatenate([self.laxity.protocol, choice.trials], name="made and offered")
         changes, spreads = nuisance_changes(choice.model.with_protocol(whole), fitted.theta)
         offered = [whole.trials.index(x) for x in choice.trials.trials]
@@ -273,8 +273,8 @@ def measured_errors(
 ) -> dict[str, Array]:
     """Each stated error measured so well that its prior narrows to half, as rows of data.
 
-    Explanations that fit alike may hold such an error to be different; then its measurement speaks
-    for one of them, beside what the base parameters can no longer take on themselves.
+    Explanations that fit alike may differ in such an error. Its measurement then favours one of
+    them, and base parameters can compensate for less.
 
     Parameters
     ----------

@@ -49,12 +49,12 @@ from identknee.runs.record import Outcome
 from identknee.subject.knee import StatedPrior
 from identknee.subject.plausibility import Limits
 
-# Other starts of the fit without causes around that without limits, as searches of `fit` do, and
-# how many of the lowest ends are polished.
+# Further starts of the fit without causes, around the fit without limits, as in `fit`; and how
+# many of the lowest ends are polished.
 N_STARTS, N_FINISHED = 8, 2
 MOST_STEPS = 100
-# Causes fitted, and the longest step by which their fits are predicted, in conditional standard
-# deviations. They begin at the part of it where the deviance is lowest.
+# Causes fitted, and the longest step of the linear prediction, in conditional standard deviations.
+# A fit begins at the part of that step with the lowest deviance.
 MOST_CAUSES, LONGEST = 6, 3.0
 PARTS = (1.0, 0.5, 0.25, 0.125, 0.0)
 # Knees drawn from the priors: a power of two.
@@ -132,14 +132,14 @@ def causes_under_limits(
 
 @declared
 class _Weighed:
-    """A model under limits: its fits with them and without, and its evidence of either kind."""
+    """A model under limits: its fits with and without them, and its evidence."""
 
     causes: tuple[Effect, ...] = entry("Its causes")
     problem: ProblemWithPriors = entry("Data, limits and priors")
     limits: LimitResiduals = entry("The limits")
     fitted: ConstrainedFit = entry("The fit with limits")
     without: Evaluation = entry("The best fit without limits")
-    log_limits: float = entry("log p(limits | model); minus infinity where no knee drawn is so")
+    log_limits: float = entry("log p(limits | model); -inf where no knee drawn is plausible")
     log_limits_se: float = entry("Its standard error")
 
     @property
@@ -157,7 +157,7 @@ class _Weighed:
 def _weighed_row(
     weighing: "_Weighing", base: _Weighed, tried: Tried
 ) -> tuple[float, CauseUnderLimits]:
-    """The log evidence of data and limits together, and what is said of a model with causes."""
+    """Log evidence of data and limits together, and the row of a model with causes."""
     one = weighing.weighed(*tried, base)
     return one.log_both, _row(one, base)
 
@@ -184,7 +184,7 @@ def _row(one: _Weighed, base: _Weighed) -> CauseUnderLimits:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Weighing:
-    """How models are weighed under limits.
+    """What all models that are compared under limits share.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class _Weighing:
 
 
 def _tried(weighing: _Weighing, base: _Weighed, found: Investigation) -> list[Tried]:
-    """Sets of causes to fit, and where to begin."""
+    """Sets of causes to fit, and the starts of each."""
     falls: dict[str, tuple[float, Effect, list[Array]]] = {}
     steps = found.attribution.steps[0]
     highest = {(x.name, x.variant) for x in steps.scores.candidates}
@@ -290,7 +290,7 @@ def _tried(weighing: _Weighing, base: _Weighed, found: Investigation) -> list[Tr
 
 
 def _expected(weighing: _Weighing, base: _Weighed, variant: Variant) -> tuple[float, list[Array]]:
-    """How far the deviance with limits falls by the linear model with a cause, and ways there."""
+    """Fall of the deviance with limits by the linear model with a cause, and starts on the way."""
     problem = weighing.problem([variant.effect])
     values = variant.values
     if variant.is_secant:
@@ -315,8 +315,8 @@ def _expected(weighing: _Weighing, base: _Weighed, variant: Variant) -> tuple[fl
 def _log_share(limits: LimitResiduals, n_common: int, seed: int) -> tuple[float, float]:
     """Log p(limits | model), and its standard error, of knees drawn from the priors.
 
-    The first `n_common` parameters are drawn alike for models with other causes. Limits are asked
-    of the trials that a knee bears: that it bears all is what the data say.
+    The first `n_common` parameters have the same draws in all models. Limits apply to the trials in
+    which a drawn knee has an equilibrium: that every trial has one is evidence of the data.
     """
     limits = replace(limits, is_everywhere=True)
     own = limits.parameters

@@ -1,4 +1,4 @@
-"""What every effect of a library would add to the residuals of a fit, and which they exclude."""
+"""What every effect of a library would add to the residuals of a fit, and which are excluded."""
 
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -86,7 +86,7 @@ def library_variants(fitted: FittedModel, effects: Sequence[Effect]) -> tuple[Va
 
 
 def _tangents(fitted: FittedModel, effects: Sequence[Effect]) -> Iterator[Variant]:
-    """One variant an effect, or one a strain for structures that stay where they are."""
+    """One variant per effect; for structures with fixed insertions one per reference strain."""
     tried = [(effect, values) for effect in effects for values in _baselines(effect)]
     for (effect, values), changes in zip(tried, _null_columns(fitted, tried), strict=True):
         p = effect.parameters
@@ -129,7 +129,7 @@ def _baselines(effect: Effect) -> list[Array]:
 def _null_columns(fitted: FittedModel, tried: Sequence[Sized]) -> list[Array]:
     """The columns of effects at amplitudes at which none does anything.
 
-    There they do not change each other's either: effects of different names share a prediction.
+    There effects do not influence one another, so those of different names share a prediction.
     """
     found: dict[int, Array] = {}
     while len(found) < len(tried):
@@ -160,7 +160,7 @@ def _columns(fitted: FittedModel, added: Sequence[Sized]) -> list[Array]:
 
 
 def secant_amplitudes(effect: Effect, values: Array) -> Array:
-    """Amplitudes where an effect of second order slopes as much as the line to its end.
+    """Amplitudes at which a second-order effect has the slope of the secant to its end.
 
     Half a prior standard deviation of those of one sign from `values`; those of either sign act by
     their side.
@@ -306,7 +306,7 @@ class CandidateCauses:
             signature = self.projected(variant)
             names = [variant.effect.parameters.names[i] for i in variant.moved]
             unit = unit_of(names[0])
-            # Plain numbers are not alike for having no unit.
+            # Two amplitudes without a unit need not be comparable.
             alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != PLAIN]
             least = min(alike, key=lambda k: signature.gram[k, k])
             amplitude = np.zeros(len(names))
@@ -315,7 +315,7 @@ class CandidateCauses:
             detectable = detectable_amplitude(self.test, signature, least)
             place = int(variant.moved[least])
             if detectable > max(abs(p.lower[place]), abs(p.upper[place])):
-                # No knee has it so large.
+                # No knee has an effect of that size.
                 detectable = float("nan")
             power = detection_power(self.test, signature, amplitude)
         return Detectability(
@@ -350,10 +350,10 @@ def library_candidates(
     return CandidateCauses(variants=variants, test=test)
 
 
-# Score of errors of zero from which on a fit with them is worth its time: data without a cause have
-# 0 to 1, those of 0.3 mm and deg of such errors 8 and more.
+# Errors of zeros are fitted only if they score more: without them the score is 0 to 1, with errors
+# of 0.3 mm and deg 8 and more.
 LEAST_SCORE = 4.0
-# Trials of an angle that separate its zero from what their loads do, on average.
+# Mean number of trials per angle that separates its zero from the effect of loads.
 LEAST_TRIALS = 5
 
 

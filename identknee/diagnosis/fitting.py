@@ -66,20 +66,19 @@ from identknee.subject.knee import Knee, StatedPrior
 N_STARTS = 3
 # Prior standard deviations within which the other starts lie.
 REACH = 1.0
-# Tolerance on the deviance; the statistics that follow are known to a thousandth of a unit at best.
+# Tolerance on the deviance; later statistics are accurate to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
-# Steps that find a valley, after which it is time to learn how it bends. Learned sooner, that leads
-# to other minima.
+# Gauss-Newton steps before curvature is learned. Learned sooner, it leads to other minima.
 STRAIGHT_STEPS = 12
 # A prior that was not asked for is so many times as wide, and one of a ligament that carries
 # nothing: ten times as wide, the prior of its stiffness still held a torn one at 4e-4 kN, where it
 # moved the knee by 1.4 sd of the noise.
 WIDER, WIDER_IF_IDLE = 10.0, 1000.0
-# How often a search without a torn ligament goes on where it ran out of steps.
+# How often a search without the prior of an idle ligament continues after its last step.
 MOST_ROUNDS = 3
-# A fit that is less probable under noise is searched for anew unless it ended at a minimum, in
-# searches of so many simulations at first, of whose ends the lowest are polished.
+# A fit less probable than REJECTED that is not at a minimum is searched for again: BRIEF is the
+# simulations of a search, N_POLISHED the number of its lowest ends that are polished.
 REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
 # A torn ligament explains a misfit that noise alone then makes in one of twenty tables or more.
 EXPLAINED = 0.05
@@ -312,7 +311,7 @@ class FittedModel:
         return np.concatenate([table, self.noise.whiten_beside(of_forces, table)])
 
 
-# Asked for its causes, its ligaments and what they gain, one after the other.
+# Cached, since causes, ligaments and gain need it in turn.
 @lru_cache(maxsize=4)
 def posterior_of(fitted: FittedModel) -> Laplace:
     """Intervals of all parameters of a fit."""
@@ -581,7 +580,7 @@ def past_lost_trials(base: BaseFit, seed: int) -> BaseFit:
 
 
 def _problem_past_lost_trials(base: BaseFit) -> Problem | None:
-    """That of a fit, defined where trials are lost, too; None where the fit is at its minimum."""
+    """The problem of a fit, defined also where trials are lost; None for a fit at its minimum."""
     fitted = base.fitted
     if fitted.outcome is Outcome.MINIMUM or fitted.laxity.zero != "absolute":
         return None

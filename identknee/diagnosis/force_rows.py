@@ -24,7 +24,7 @@ from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 
-# Generalised loads of varus, internal [N mm], x, y, z [N] that a test may differ by.
+# An added load on the tibia (varus, internal [N mm], x, y, z [N]), for derivatives by loads.
 FURTHER = "further_load"
 SIZES = (1000.0, 1000.0, 10.0, 10.0, 10.0)
 
@@ -43,12 +43,12 @@ class ForceRows:
 
     @property
     def n(self) -> int:
-        """How many there are."""
+        """Number of forces, f."""
         return sum(x.n for x in self.terms.values())
 
     @property
     def trials(self) -> IntArray:
-        """The trial of each, shape ``(f,)``."""
+        """The trial of each force, shape ``(f,)``."""
         return np.concatenate([np.zeros(0, np.int64), *(x.trials for x in self.terms.values())])
 
     def jacobian(self, theta: Array) -> Array:
@@ -62,15 +62,15 @@ class ForceRows:
         return ForceRows(model=model, laxity=self.laxity)
 
     def changes(self, theta: Array, gradients: Array) -> Array:
-        """What additions (n, 5, k) to the gradient of the energy change in them, ``(f, k)``.
+        """Changes of the forces, ``(f, k)``, by additions (n, 5, k) to the gradient of the energy.
 
-        The knee moves as under a load of the opposite size, and nothing else of it changes.
+        They act as a load of the opposite sign.
         """
         by_load = _by_load(self, np.asarray(theta, float).tobytes())
         return np.asarray(-np.einsum("fi,fik->fk", by_load, gradients[self.trials]))
 
     def nuisances(self, theta: Array) -> Array:
-        """What the nuisances of `nuisance_changes` change in them, for one of each, ``(f, k)``."""
+        """Changes of the forces by a unit of each nuisance of `nuisance_changes`, ``(f, k)``."""
         model, stated = self.model, self.model.knee.uncertainty
         prediction = model.predict_once(theta)
         blocks = [self.changes(theta, surface_gradients(model, prediction, ROUGHNESS_LENGTH))]
@@ -92,7 +92,7 @@ class ForceRows:
             if stated.surface_mm > 0.0:
                 moved = surface_gradients(model, prediction, SURFACE_LENGTH)
                 own.append(stated.surface_mm * self.changes(theta, moved))
-            # An error of a zero is one of coordinates alone.
+            # Errors of zeros change coordinates only, not forces.
             n = shared_errors(model, theta).shape[2] - sum(x.shape[1] for x in own)
             blocks += [np.zeros((self.n, n)), *own]
         return np.concatenate(blocks, axis=1)
@@ -100,7 +100,7 @@ class ForceRows:
 
 @lru_cache(maxsize=4)
 def _by_load(rows: ForceRows, theta: bytes) -> Array:
-    """Derivatives by a generalised load on the tibia in the trial of each, shape ``(f, 5)``."""
+    """Derivatives of forces by a generalised load on the tibia, shape ``(f, 5)``."""
     names = ("varus_Nmm", "internal_Nmm", "x_N", "y_N", "z_N")
     made = amplitudes(FURTHER, names, SIZES, upper=SIZES)
     load = LoadError(name=FURTHER, parameters=made, acted=_loaded)

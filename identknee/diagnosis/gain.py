@@ -166,7 +166,7 @@ def observations_of(laxity: Laxity, sd: Array, noise: NoiseModel) -> Observation
 # Bounds of a coordinate's standard deviation of discrepancy, in units of its noise.
 LEAST_SPREAD, MOST_SPREAD = 1e-2, 1e2
 START_SPREAD = 1.0
-# Values of which trials are held out and to which a process is fitted, three hundred trials.
+# Most values that are held out and that a process is fitted to: three hundred trials.
 MOST_VALUES = 1_500
 
 

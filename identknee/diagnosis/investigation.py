@@ -63,8 +63,7 @@ from identknee.runs.record import Outcome
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
-# Fall of the deviance from which on it is another minimum of the base model, and not the end of
-# the same one.
+# A fall of the deviance by more means another minimum of the base model.
 LOWER = 1.0
 # Predicted reduction with which a fit that ended before its minimum is still taken for it.
 SMALL_REDUCTION = 1.0
@@ -139,7 +138,7 @@ class Investigation:
     @cached_property
     def extended_knee(self) -> Knee:
         """The subject with the causes found, for every other calculation."""
-        # With its own priors, also of a ligament that carries nothing.
+        # The priors of the subject, not those that a diagnosis widens for idle ligaments.
         return replace(self.explanation.extended_knee, priors=self.knee.priors)
 
     @cached_property
@@ -172,8 +171,7 @@ class Investigation:
     def missing_wrench(self) -> MissingWrench:
         """What the model without causes lacks in every trial, ligaments as in the explanation.
 
-        Ligaments that were fitted without the cause have taken over what they can of it; those
-        fitted beside it leave it to be seen.
+        Ligaments fitted without the cause compensate for part of it; those fitted with it do not.
         """
         base = self.base.fitted
         theta = self.explanation.fitted.theta[: base.model.parameters.n]
@@ -193,11 +191,11 @@ class Investigation:
             findings += _unfinished(self.explanation, f"with {labels}")
         fitted = self.explanation.fitted
         parameters = fitted.model.parameters
-        # No bound stopped a part of the cause that is absent.
+        # An amplitude of zero is at its bound because that part of the cause is absent.
         amplitudes = parameters.names[fitted.model.n_ligament_parameters :]
         absent = (x for x in parameters_at_zero(fitted.theta, parameters) if x in amplitudes)
         found = fitted.model.predict_once(fitted.theta)
-        # Nor does one of a ligament that carries nothing limit the fit.
+        # Nor do bounds of a ligament that carries nothing limit the fit.
         idle = idle_parameters(fitted.model, found)
         held = (*parameters.nuisance_names, *absent, *idle)
         findings += bound_findings(fitted.theta, parameters, held)
@@ -263,7 +261,7 @@ def investigate(
         if base_fit is None or not base_fit.fitted.evaluation.is_finite:
             return None
         if needs_weights(laxity):
-            # Errors of replayed poses count by stiffnesses that are known from here on.
+            # The weights of in-situ forces need stiffnesses, which the first fit gives.
             first = base_fit.fitted
             laxity = weighed(laxity, first.model, first.theta)
             begin = [*begin, first.theta[: first.model.n_ligament_parameters]]

@@ -13,14 +13,14 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import NuisancePosterior, schur_complement
 
-# Effects closer than this cannot be distinguished: the winner's amplitude errs to the large side.
+# Effects closer than this cannot be distinguished; it allows for overestimated amplitudes.
 LEAST_DISTANCE = 5.0
-# Trials are advised until the least distance is this, so that errors do not bring it below the one
-# above, or until there are so many.
+# Trials are advised until the least distance is ENOUGH, a margin above LEAST_DISTANCE, or until
+# there are MOST_TRIALS.
 ENOUGH, MOST_TRIALS = 7.0, 12
 # Prior standard deviations within which a mix of amplitudes is plausible.
 REACH = 3.0
-# Share of the largest eigenvalue of scaled information below which a direction is not known at all.
+# Share of the largest eigenvalue of the scaled information below which a direction is unknown.
 LEAST_EIGENVALUE = 1e-12
 
 
@@ -79,8 +79,8 @@ def least_favourable_distances(
 
     The mix that counts is the one closest to the rival, by generalised eigenvalues, among those
     that stand out of the noise by `root` with no amplitude beyond three prior standard deviations.
-    Signs are ignored. An effect whose every mix is too small counts with its most visible one, and
-    one that is not seen at all is taken for no other.
+    Signs are ignored. An effect whose mixes are all too small counts with its most visible one. An
+    invisible effect is at infinite distance from all others.
 
     Parameters
     ----------
@@ -175,8 +175,8 @@ def advise_trials(
 ) -> AdvisedTrials:
     """The trials that separate the pairs most: each choice raises the least distance most.
 
-    Greedy, repeats allowed. Amplitudes of rivals keep to their priors, not to their signs. What
-    nuisances do in an added trial is known as far as the trials before it have shown them.
+    Greedy, repeats allowed. Amplitudes of rivals keep to their priors, not to their signs. In an
+    added trial nuisances have the posterior that the trials before it give.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def advise_trials(
         return np.asarray(after(tuple(chosen[:-1]))[chosen[-1]])
 
     def losses(chosen: tuple[int, ...]) -> Array:
-        # The sum of the pairs decides between candidates that leave the least one alike.
+        # The sum over the pairs breaks ties between candidates.
         return np.asarray(-after(chosen).min(axis=1) - 1e-6 * after(chosen).sum(axis=1))
 
     chosen = choose(
@@ -248,7 +248,7 @@ def pair_distances(
 
 
 def _marginalised(rows: Array, n_nuisances: int) -> tuple[Array, NuisancePosterior]:
-    """Information of rows about the parameters, nuisances integrated out, and those as they are."""
+    """Information of rows about the parameters, nuisances marginalised, and their posterior."""
     n = rows.shape[1] - n_nuisances
     is_kept = np.arange(rows.shape[1]) < n
     information = schur_complement(rows.T @ rows + np.diag(np.where(is_kept, 0.0, 1.0)), is_kept)
@@ -276,7 +276,7 @@ def _pair_distances(information: Array, added: Array, pairs: Sequence[Pair], n_b
     pairs, n_base
         As in `advise_trials`.
     """
-    # Many effects have the same rival, whose inverse takes most of the time.
+    # Many effects share a rival, and its inverse takes most of the time.
     rivals: dict[tuple[bytes, bytes], _Rival] = {}
     columns = []
     for pair in pairs:
@@ -290,8 +290,7 @@ def _pair_distances(information: Array, added: Array, pairs: Sequence[Pair], n_b
 class _Rival:
     """The span of the base parameters and the amplitudes of a rival, and trials that add to it.
 
-    A trial has few rows, so that the inverse with it is that without it and a correction of as
-    small a rank.
+    A trial has few rows, so the inverse with it is a low-rank update of that without it.
     """
 
     def __init__(self, information: Array, added: Array, pair: Pair, n_base: int) -> None:
@@ -305,13 +304,13 @@ class _Rival:
         lowest = LEAST_EIGENVALUE * max(float(np.abs(sizes).max(initial=0.0)), least)
         is_seen = sizes > lowest
         self._inverse = (vectors[:, is_seen] / sizes[is_seen]) @ vectors[:, is_seen].T
-        # What nothing has shown yet, a trial may.
+        # A trial may show directions that nothing has shown yet.
         self._of_free = added[:, :, self._free] / self._scale
         spread = self._of_free @ (vectors / np.sqrt(np.maximum(sizes, lowest)))
         self._spread = np.eye(added.shape[1]) + spread @ spread.mT
 
     def distance(self, pair: Pair) -> Array:
-        """Of the effect of a pair from all that they can explain, with each trial, ``(n,)``."""
+        """Distance of a pair's effect from what the span explains, with each trial, ``(n,)``."""
         effect, amplitude = pair.effect, pair.amplitude
         towards = self._information[np.ix_(self._free, effect)] @ amplitude / self._scale
         total = amplitude @ self._information[np.ix_(effect, effect)] @ amplitude

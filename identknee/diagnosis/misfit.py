@@ -1,4 +1,4 @@
-"""What of residuals the fitted parameters cannot explain, and whether that looks like noise."""
+"""The part of residuals that fitted parameters cannot explain, and whether it looks like noise."""
 
 from collections.abc import Sequence
 
@@ -273,7 +273,7 @@ def log_tail_of_z_score(z_score: Array) -> Array:
 LEVEL = 0.05
 N_DRAWS = 4000
 UNLOADED = "no load"
-# Share of the length of a shift: with less left the fitted parameters explain it.
+# Share of the length of a shift: if less is left, the fitted parameters explain the shift.
 LEAST_LEFT = 1e-6
 
 

@@ -40,13 +40,13 @@ from identknee.runs.record import Outcome
 MOST_CAUSES = 3
 # Log evidence that a first cause must gain, and that a larger set must gain over a smaller one.
 LEAST_GAIN, FURTHER_GAIN = 2.0, 5.0
-# Fall of the chi-square that the largest of a library of scores reaches by chance.
+# Fall of the chi-square that the largest score of a library may reach by chance.
 LEAST_FALL, FURTHER_FALL = 9.0, 16.0
 # Single causes that are swapped into a set which is about to win, and refitted alone from there.
 MOST_SWAPPED, MOST_ALONE = 4, 2
-# Looks at what is left: the search may come back to smaller sets, but not for ever.
+# Steps of the search: it may return to smaller sets, but must end.
 MOST_LOOKS = 6
-# More causes than these together stand in for something that no library lists.
+# More causes than these probably stand in for one that no library lists.
 MOST_NAMED = 2
 # What the highest score may be by chance for a first cause, and for one more: a cause found shifts
 # what is left, and its own model is only nearly right.
@@ -130,8 +130,8 @@ def attribute(
     """The explanation of what a fit leaves, by a search of sets of causes.
 
     At each step the effects that score highest join the best set in turn. Before a larger set wins,
-    it is looked back from it: each of its causes is left out or swapped, and each single cause
-    refitted, all from where the larger set ended. It ends when no further effect scores higher than
+    smaller ones are refitted from where it ended: with each of its causes left out or swapped, and
+    single causes alone. The search ends when no further effect scores higher than
     chance allows, when no larger set is worth its causes, or at three.
 
     Parameters
@@ -236,7 +236,7 @@ class _Sets:
             self.add(found)
 
     def let_flexible_win(self, singles: Sequence[Refit]) -> None:
-        """Let effects that fit almost anything win, by evidence alone, in the end only."""
+        """Let effects that fit almost anything win, but only in the end and by evidence."""
         flexible = [x for x in singles if is_flexible(x.causes[-1])]
         best = max([self.best, *flexible], key=lambda x: x.log_evidence)
         if best is not self.best and is_better(best, self._base, self._n_effects):
@@ -273,7 +273,7 @@ def _alone(base: Refit, current: Refit, single: Refit) -> Refit:
 
 
 def _without(base: Refit, current: Refit, name: str, *instead: Refit) -> Refit:
-    """A set without one of its causes, refitted; those of single refits may take its place."""
+    """A set without one of its causes, or with those of other refits instead, refitted."""
     kept = [x for x in current.causes if x.name != name]
     theta = np.delete(current.fitted.theta, list(current.places(name)))
     start = np.concatenate([theta, *(x.amplitudes(x.names[0]) for x in instead)])
@@ -283,7 +283,7 @@ def _without(base: Refit, current: Refit, name: str, *instead: Refit) -> Refit:
 def refit_top_candidates(
     step: AttributionStep, base: Refit, executor: Executor = serial
 ) -> tuple[Refit, ...]:
-    """The effects that score high, refitted: all a little, the better ones to the end.
+    """The effects that score high, refitted: all for a few steps, the better ones to the end.
 
     One that has no prediction, or is stuck where a trial leaves its branch, begins again with less
     of the effect and from the ligaments of refits that succeeded, before it is given up.
@@ -323,7 +323,7 @@ def refit_top_candidates(
     return tuple(sorted(found, key=lambda x: -x.log_evidence))
 
 
-# What workers do. A fit alone goes back: its model is that of the base, which is here already.
+# Run by workers, which return only the fit: the caller has the model already.
 def _begun(base: Refit, task: "_Task") -> ConstrainedFit:
     return task.begun(base).fitted.constrained
 
@@ -393,7 +393,7 @@ class _Task:
         if is_flexible(self.causes[-1]):
             found = refit(base, self.causes, [begun.fitted.theta, *starts], known=[begun])
         else:
-            # Few amplitudes have few minima: what is ahead after a few steps ends lowest.
+            # With few amplitudes there are few minima, so the lowest after a few steps ends lowest.
             tried = [begun]
             for x in starts:
                 tried.append(refit(base, self.causes, [x], most_steps=FEW_STEPS, beside=tried))
@@ -441,7 +441,7 @@ def _starts(at: Refit, variant: Variant, values: Array, base: Refit) -> list[Arr
     little of the effect.
     """
     evaluation = at.fitted.evaluation
-    # What the effect does to the predictions, the fitted parameters had taken on themselves.
+    # The fitted parameters had compensated for the effect; move them back.
     shift = np.zeros(len(evaluation.residuals))
     shift[: at.fitted.n_data] = variant.signature.columns @ (values - variant.values)[variant.moved]
     moved = np.linalg.lstsq(evaluation.jacobian, -evaluation.residuals - shift, rcond=None)[0]
@@ -459,15 +459,15 @@ def _share(variant: Variant, values: Array, share: float) -> Array:
     return part
 
 
-# A model whose misfit is less probable is not the explanation, or not all of it.
+# A model whose misfit is less probable than FITS is doubted, than HARDLY_FITS rejected.
 FITS, HARDLY_FITS = 0.01, 0.001
 # Insertions less probable than this may be those of another structure.
 FAR_OFF = 0.1
-# Share of the prior variance of a shift: data that take off less know nothing of it.
+# Share of the prior variance of a shift: data that remove less do not inform it.
 LEAST_MOVED = 1e-6
-# Multiples of a stated noise up to which it is asked how much noise would explain a misfit.
+# Multiples of a stated noise that are tried as explanations of a misfit.
 MULTIPLES = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
-# A verdict that holds for only some of these multiples of a stated noise is none.
+# A verdict that changes at one of these multiples of a stated noise is NOT_TESTABLE.
 NOISE_FACTORS = (0.75, 1.33)
 NOISE_DEPENDENT = (
     "The verdict depends on the stated noise, which the data do not confirm: with 0.75 or 1.33 "
@@ -572,7 +572,7 @@ def _p_words(p_value: float) -> str:
 
 
 def _depends_on_noise(attribution: Attribution, p_value: float) -> bool:
-    """Whether noise that is only stated, if wrong by a quarter or a third, turns the verdict."""
+    """Whether the verdict would change if stated noise were wrong by a quarter or a third."""
     base = attribution.base
     if np.isfinite(base.noise_degrees):
         return False

@@ -14,7 +14,7 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, derived
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 
-# How finely a path is looked at, and how well the edge of a cliff is known along it.
+# Points on a path, and the tolerance of the edge of a cliff as a share of the path.
 N_STEPS = 32
 EDGE = 1e-4
 

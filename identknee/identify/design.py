@@ -1,11 +1,11 @@
-"""Which trials to add, so that the data bound what they leave open: chosen, predicted, verified.
+"""Which trials to add so that the data bound open intervals: chosen, predicted, verified.
 
-Where equilibria begin at measured poses, a small change of parameters may lead from one to another.
-A profile then depends on these jumps; the slopes at the best fit do not (`linearised`).
+Where searches for equilibria begin at measured poses, a small change of parameters may lead to
+another equilibrium. Profiles depend on such jumps; slopes at the best fit do not (`linearised`).
 
 Nuisance parameters are marginalised about the best fit (`identknee.runs.marginalise`). Trials share
-them, so that a trial is worth what it adds given the others: the posterior of the nuisances after
-those widens its noise.
+them, so that the worth of a trial depends on the others: the posterior of the nuisances after
+these is added to its noise.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -202,7 +202,7 @@ def halved_error_features(
     """Features of nuisance parameters with their standard deviations halved, ``(1, f)`` each."""
     found = {}
     for name, places in nuisance_places(parameters).items():
-        # As a trial that measures them directly, values and derivatives in units of its noise.
+        # A trial that measures them directly, values and derivatives in units of its noise.
         rows = with_error_measured(parameters.n, places, parameters.prior_sd[places])
         values, slopes = points.thetas[:, None] @ rows.T, rows * points.scales
         every = np.broadcast_to(slopes, (len(values), 1, *slopes.shape))
@@ -232,7 +232,7 @@ class MarginalProblem:
     Attributes
     ----------
     problem
-        Residuals in units of their noise where the errors are as they fit best.
+        Residuals in units of their noise, nuisances at their best fit.
     slopes
         Change of each residual with one prior standard deviation of each error, shape ``(m, e)``.
     offset
@@ -378,9 +378,9 @@ class TrialFeatures:
     Attributes
     ----------
     loss
-        Whose features.
+        The criterion whose features these are.
     points
-        Where trials were predicted.
+        Predictions of the candidates at the best fit and along the profiles.
     allowed
         Which candidates are offered, shape ``(k,)``.
     shared, known
@@ -697,7 +697,7 @@ def design(
 def _default_targets(
     problem: Problem, theta: ArrayLike, profiles_of: ProfilesOf
 ) -> tuple[tuple[Quantity, ...], tuple[Profile, ...]]:
-    """Default targets: parameters with an unbounded interval, or else all, with profiles."""
+    """Parameters with an unbounded interval, or else all of interest, with their profiles."""
     parameters = problem.parameters
     every = [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names_of_interest]
     profiles = profiles_of(problem, theta, every)

@@ -106,17 +106,13 @@ class LocalLoss:
 
 @declared
 class Path:
-    """The profile of one target as it is before trials are added."""
+    """The profile of one target before trials are added."""
 
     places: IntArray = entry(
         "Where its s points stand among the points at which trials are predicted, shape ``(s,)``"
     )
-    values: Array = entry(
-        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
-    )
-    deltas: Array = entry(
-        "The target there, from low to high, and the rise of the deviance, shape ``(s,)``"
-    )
+    values: Array = entry("The target there, from low to high, shape ``(s,)``")
+    deltas: Array = entry("Rise of the deviance there, shape ``(s,)``")
     across: Array = entry(
         "Orthonormal directions of the scaled parameters that leave the target as it is, ``(s, "
         "n, n - 1)``"
@@ -155,9 +151,9 @@ class Path:
 class WidthLoss:
     """Predicted widths of the targets' profiles, the sum of their logarithms.
 
-    At every point of a target's profile the deviance of the added trials, at the values they would
-    have at the best fit, is added, and the parameters that are free there give way by one linear
-    step: an open end may close that a variance at the best fit knows nothing of.
+    To every point of a target's profile the deviance of the added trials is added, as measured at
+    the best fit, and the free parameters are refitted by one linear step. Thus an open end may
+    close, which variances at the best fit cannot show.
     """
 
     paths: Sequence[Path] = entry("The profiles of the targets")
@@ -302,9 +298,9 @@ class WithTrials:
     Attributes
     ----------
     problem
-        The problem as it was.
+        The problem without them.
     candidates
-        Where the added trials come from.
+        The candidates that trials are added from.
     chosen
         Which of them were added.
     measured
@@ -371,14 +367,11 @@ class CandidatePredictions:
     thetas: Array = entry("The points, the first of them the best fit, shape ``(q, n)``")
     is_likely: BoolArray = entry("Which of them the data allow, shape ``(q,)``")
     values: Array = entry(
-        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
-        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
-        "prediction"
+        "What the trials would measure, in units of the noise, shape ``(q, k, m)``; NaN where "
+        "there is no prediction"
     )
     jacobians: Array = entry(
-        "What the trials would measure, in units of the noise, shape ``(q, k, m)``, and its "
-        "derivatives by the scaled parameters, ``(q, k, m, n)``; NaN where there is no "
-        "prediction"
+        "Derivatives of that by the scaled parameters, shape ``(q, k, m, n)``; NaN likewise"
     )
     information: Array = entry(
         "That of the trials made, for the scaled parameters, shape ``(q, n, n)``"
@@ -387,7 +380,7 @@ class CandidatePredictions:
 
     @property
     def n_simulations(self) -> int:
-        """At each point one of the trials made and one of the candidates."""
+        """Two at each point: the trials made, and the candidates."""
         return 2 * len(self.thetas)
 
     def excluded(self, names: tuple[str, ...]) -> tuple[Excluded, ...]:

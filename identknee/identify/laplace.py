@@ -12,13 +12,14 @@ from identknee.calibrate.problem import Evaluation
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 
-# Bounds that cut off less of a component than this are none; for the intervals of the others.
+# Share of a component below which what bounds cut off is ignored: for the component itself and
+# for the intervals of the others.
 LEAST_CUT, LEAST_SHARED = 1e-6, 1e-4
 # Points at which the share of a Gaussian within bounds is averaged, and the seed of their order.
 N_POINTS, POINTS_SEED = 1024, 0
-# What a 95 % interval leaves out to either side; all of it on one side where a bound is the other.
+# Tail of a 95 % interval on either side; where one end is a bound the other tail is twice this.
 TAIL = 0.025
-# Of the logarithm of a weight: points below it do not count.
+# Points whose log weight lies so far below the largest do not count.
 NEGLIGIBLE = 40.0
 # Standard deviations: a lower bound so far off cuts off nothing.
 FAR = -9.0
@@ -177,7 +178,7 @@ def _within(low: Array, high: Array, share: Array) -> Array:
     return np.asarray(np.where(mirrored, -found, found))
 
 
-# Of the rise of the deviance: an interval of which priors make more is theirs.
+# Share of the rise of the deviance: an interval of which priors make more is made by priors.
 MOST = 0.5
 # Share of a standard deviation that rounding may move an end by.
 ROUNDING = 1e-9
@@ -234,16 +235,16 @@ class Laplace:
             object.__setattr__(self, name, frozen(getattr(self, name), None, name=name))
 
     def interval(self, i: int) -> Interval:
-        """Ends of the 95 % interval of one parameter; None where an end is no limit that data give.
+        """Ends of the 95 % interval of one parameter; None for an end that the data do not set.
 
-        Such an end is a bound; or the linear model puts the whole interval beside the estimate.
+        Such an end is a bound, or the linear interval does not contain the estimate.
         """
         if i not in self._intervals:
             self._intervals[i] = self._computed(i)
         return self._intervals[i]
 
     def made_by_priors(self) -> BoolArray:
-        """Whose interval priors make more than the data, shape ``(p,)``, to first order.
+        """Whose interval owes more to priors than to the data, shape ``(p,)``, to first order.
 
         They make more than half of the rise of the deviance on the way to its ends, the others
         refitted. Priors of nuisances are stated errors of the data, and count as these do.

@@ -26,7 +26,7 @@ from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 
 STIFFNESS_SHARE, STRAIN_PCT, PRIOR_SDS = 0.5, 3.0, 1.5
-# An even number of levels and steps over half of them: every level is met equally often.
+# With an even number of levels and steps over half of them every level is met equally often.
 MORRIS_LEVELS = 4
 
 
@@ -91,7 +91,7 @@ def saltelli_blocks(box: Box, n: int, seed: int) -> Array:
     if n < 2 or n & (n - 1):
         near = 2 ** max(1, round(np.log2(max(n, 2))))
         raise ValueError(f"Sobol indices need a power of 2 of blocks, got {n}; ask for {near}")
-    # SALib loads pandas, which takes longer than many an analysis.
+    # SALib imports pandas, which takes longer than many analyses.
     from SALib.sample import sobol
 
     points = sobol.sample(_cube(box.n), n, calc_second_order=False, seed=seed)
@@ -142,7 +142,7 @@ RULES = {
     "morris": "every pair of neighbours that both have a prediction counts",
     "given": "the indices of a group use the draws at which all its outputs have a prediction",
 }
-# What the columns `complete` of the arrays use.
+# What the columns `complete` of the arrays count.
 COMPLETE = {"sobol": "blocks", "morris": "trajectories"}
 
 
@@ -409,7 +409,7 @@ def _points(
                 f"one of {', '.join(METHODS)} for draws"
             )
         draws = _enough(frozen(over, None, p, name="draws"))
-        # Draws of a chain come in its order; parts of them should be parts of the whole.
+        # Draws of a chain are in its order; subsets of them should represent all of them.
         return np.random.default_rng(seed).permutation(draws)[:, None]
     if over.n != p:
         raise ValueError(f"the box has {over.n} parameters, the model {p}: give one range for each")
@@ -430,7 +430,7 @@ def _enough(draws: Array) -> Array:
 
 
 def _packed_outputs(outputs: Outputs, thetas: Array) -> str:
-    """Outputs at each theta as the text of their bytes, a third of the size of their digits."""
+    """Outputs at each theta as base64 text, a third of the size of decimal digits."""
     values = np.array([outputs.evaluate(theta) for theta in thetas], dtype="<f8")
     return base64.b64encode(values.tobytes()).decode("ascii")
 

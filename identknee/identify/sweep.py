@@ -38,13 +38,13 @@ OUTCOMES = (
 )
 WORDS = tuple(x.value for x in OUTCOMES)
 BY_START = ("start", "parameter")
-# In typical steps (3 kN, 2 %): an end closer to the minimum than this is called that minimum.
+# In typical steps (3 kN, 2 %): an end closer to the minimum than this counts as the minimum.
 AT_MINIMUM = 0.01
-# Times the change that the derivatives predict over such a step: a larger one is a jump.
+# A deviation from the linear change over such a step is a jump if it is so many times as large.
 JUMP = 10.0
-# Starts that one task goes through: enough to outweigh its way to a worker.
+# Starts of one task: enough to outweigh the cost of sending it to a worker.
 STARTS_A_TASK = {"least-squares": 20}
-# Starts that are under way or just done at a time; the rest are rows of arrays.
+# Starts that are lists of Python objects at a time, to bound memory; all others are arrays.
 CHUNK = 10_000
 # Beside the two ends: two objectives, two counts, three outcomes, one time.
 N_NUMBERS = 8
@@ -57,9 +57,9 @@ class SweepSearches:
     An *end* is what the optimizer gave back, whatever it is. Its *kind* says what is there:
     ``minimum`` if exact derivatives put the minimum within 0.01 typical steps (0.03 kN, 0.02 %),
     ``cliff`` if 0.01 typical steps down the way on the prediction is lost or has jumped,
-    ``valley`` if the way down is open and the optimizer stopped, ``start_failed`` if
-    it saw no prediction at all. From the end least squares with exact derivatives goes on to the
-    *polished* end.
+    ``valley`` if the optimizer stopped though the way down is open, ``start_failed`` if it saw no
+    prediction at all. Least squares with exact derivatives continues from there to the *polished*
+    end.
     """
 
     method: str = entry("Optimizer")
@@ -311,7 +311,7 @@ def _end(
     kind = classify_end(problem, end)
     polished, last, n_polishing = end, end.outcome, 0
     if end.outcome not in {Outcome.MINIMUM, Outcome.START_FAILED}:
-        # Another seed, or a second look for a way around a cliff would be the first one again.
+        # With the same seed the second look for a way around a cliff would repeat the first.
         further = fit(problem, end.theta, seed=own + 1)
         polished = further if further.objective < end.objective else end
         # An end on a bound is moved inside, which may be beyond the cliff at it.
@@ -333,7 +333,7 @@ def _end(
 
 # Unit of `distance`.
 DISTANCE = "kN and %"
-# Draws of one start before it is said that the bounds leave no room at its distance.
+# Draws of one start before the bounds are said to leave no room at its distance.
 MAX_DRAWS = 10_000
 
 
@@ -696,8 +696,7 @@ def is_recovered(
     target
         Truth or best fit, shape ``(p,)``.
     within
-        How far the end may be, as `identknee.identify.sweep.distance` counts: kN
-        and %.
+        How far the end may be by `distance`, in kN and %.
     polished
         Whether the polished end is meant, and not that of the optimizer.
     """
@@ -733,7 +732,7 @@ def recovery(distances: Array, recovered: BoolArray) -> Recovery:
 
 
 def radius(found: Recovery, *, probability: float = OFTEN) -> Radius:
-    """The distance within which a start recovers with `probability`, or as good as.
+    """The distance within which starts recover the target with at least this probability.
 
     The curve is the falling one that fits the shares best (isotonic regression, each share weighted
     by its starts), straight between the distances.
@@ -755,7 +754,7 @@ def radius(found: Recovery, *, probability: float = OFTEN) -> Radius:
     )
     weights = [x.n for x in found.shares]
     fitted = scipy.optimize.isotonic_regression(shares, weights=weights, increasing=False).x
-    # The truth falls, so that a limit holds for all that is farther, or nearer.
+    # The limits are made to fall with distance too, each to its safe side.
     curves = (fitted, np.minimum.accumulate(lower), np.maximum.accumulate(upper[::-1])[::-1])
     value, low, high = (_crossing(found.distances, curve, probability) for curve in curves)
     return Radius(probability=probability, value=value, lower=low, upper=high)
@@ -778,7 +777,7 @@ WITHIN = 0.5
 
 @declared
 class Survey:
-    """Searches and their basins, recovery and cliffs."""
+    """Searches, their basins, and how often they recovered the target."""
 
     searches: SweepSearches = entry("The searches", group="optimization", is_inline=True)
     basins: Basins = entry(
@@ -814,7 +813,7 @@ def survey(
     target: ArrayLike | None = None,
     within: float = WITHIN,
 ) -> Survey:
-    """Basins, recovery and cliffs seen by many searches.
+    """The basins of many searches, and how often these recovered the target.
 
     Parameters
     ----------
@@ -825,7 +824,7 @@ def survey(
     target
         The truth where it is known, shape ``(p,)``; the lowest polished end if None.
     within
-        How close an end has to be, as `identknee.identify.distance` counts: in kN and %.
+        How close an end has to be by `distance`, in kN and %.
     """
     basins = find_basins(problem, searches)
     best, middle = searches.best, None

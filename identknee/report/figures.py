@@ -1,7 +1,7 @@
-"""What figures are drawn on, and the colours, markers, sizes and frames that all share.
+"""The canvas of figures, and the colours, markers, sizes and frames that all share.
 
 Colours are those of Okabe and Ito, distinct for the colour-blind, and always come with a marker or
-a label. Figures stand on paper of their own, or on axes and subfigures that a user gives.
+a label. A figure is drawn on its own canvas, or on axes and subfigures that a user gives.
 """
 
 import io
@@ -56,10 +56,10 @@ def drawn_on(place: Place | None) -> Iterator[None]:
 
 
 class Paper(OwnFigure):
-    """A figure, or what `drawn_on` says in its place."""
+    """A figure that is drawn on the axes or subfigure of `drawn_on`, if there is one."""
 
     def __new__(cls, *_args: Any, **_how: Any) -> "Paper":
-        """A new figure; of a subfigure, or a whole figure given, that one."""
+        """A new figure, or the figure or subfigure given."""
         place = _place.get()
         if isinstance(place, FigureBase):
             return place  # type: ignore[return-value]
@@ -134,10 +134,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 STYLES = ("-", "--", "-.", ":")
 BLACK, GREY = "#000000", "#777777"
 SMALL = 8
-# One colour for one thing in every figure: what was measured, the fit or model without causes, that
-# with causes, and all that fits as well.
-MEASURED, FIT, WITH_CAUSE, ALL_FITS = BLACK, *COLOURS[:2], COLOURS[5]
-# Letters of one line of a legend.
+# One colour for one thing in every figure: what was measured, the fit, and all that fits as well.
+MEASURED, FIT, ALL_FITS = BLACK, COLOURS[0], COLOURS[5]
+# Characters of one line of a legend.
 LEGEND_LETTERS = 44
 # Width of a letter, and of the mark and the gaps beside an entry, in heights of a letter.
 LETTER_WIDTH, HANDLE_WIDTH = 0.56, 5.0
@@ -257,7 +256,7 @@ def without_mathtext(figure: Figure) -> Iterator[None]:
     A letter that the font lacks is drawn as a box, without a warning.
     """
     for text in figure.findobj(Text):
-        # The labels of logarithmic axes are formulas; those not made yet must be able to be.
+        # Tick labels of logarithmic axes are mathtext and must stay so.
         if "$" in text.get_text() and MATH not in text.get_text():
             text.set_parse_math(False)
     with warnings.catch_warnings():
@@ -314,7 +313,7 @@ def resize(figure: Figure, width_mm: float) -> None:
         If its texts do not fit into that width; the message names one that does.
     """
     width, height = figure.get_size_inches()
-    # Labels of ticks are made when they are drawn.
+    # Matplotlib makes tick labels when they are drawn.
     figure.draw_without_rendering()
     letters: list[Any] = figure.findobj(Text)
     sizes = [float(x.get_fontsize()) for x in letters]
@@ -383,12 +382,12 @@ def recolour(figure: Figure) -> None:
     }
     for kind_of_artist, kinds in parts.items():
         for own_artist in figure.findobj(kind_of_artist):
-            # The paper has the colour of the style already.
+            # Backgrounds have the colour of the style already.
             if not any(own_artist is x for x in papers):
                 _change(own_artist, kinds, changed)
     artist: Any
     for artist in figure.findobj(Collection):
-        # Those of a map have its colours.
+        # Collections with an array take their colours from a colour map.
         if artist.get_array() is None:
             for kind in ("facecolor", "edgecolor"):
                 own = [_changed(x, changed) for x in getattr(artist, f"get_{kind}")()]

@@ -1,4 +1,4 @@
-"""The diagnosis of a knee: its answer with all that it stands on, and how it is made."""
+"""The diagnosis of a knee: its answer with the evidence for it, and how it is computed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -471,7 +471,7 @@ class Diagnosis(Answer):
     @property
     @derived("Why no value with the causes is known; null where nothing says so or without a cause")
     def doubt_after(self) -> str | None:
-        """Only the causes of a named diagnosis, in a model that fits with them, are no proviso."""
+        """None without causes, or if NAMED, the model fits, and no finding speaks against it."""
         if not self.causes:
             return None
         if self.misfit is not None and self.misfit.p_value_after <= LEVEL:
@@ -674,12 +674,12 @@ def diagnose_data(
 ) -> Diagnosis:
     """`identknee.diagnose` of data."""
     laxity = with_noise(data, noise)
-    # Limits are no part of the verdict: that they hold is belief, and no evidence of the data.
+    # Limits do not enter the verdict: they are prior belief, not evidence of the data.
     limits, subject = subject.plausibility, replace(subject, plausibility=())
     warm_up(subject, laxity.protocol)
     run.start_clock()
     model = LaxityModel(knee=subject, protocol=laxity.protocol)
-    # A limit that names no ligament is refused at once, and not after the diagnosis.
+    # Refuses a limit that names no ligament before the long diagnosis.
     LimitResiduals(model=model, limits=limits)
     if conventions := convention_findings(model, laxity, model.parameters.start):
         return untestable(conventions[0].sentence, conventions)

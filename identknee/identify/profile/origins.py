@@ -1,4 +1,4 @@
-"""What makes the ends of a profile: the data, beliefs, or the bound of another parameter."""
+"""What sets the ends of a profile: data, prior, limits, or the bound of another parameter."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,15 +22,16 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
-# Of the interval: an end that moves by more is set by the bound that was widened.
+# Share of the interval: an end that moves by more is set by the bound that was widened.
 MOVED = 0.1
-# Of the threshold: reduction predicted for twice the room of a bound from which it counts.
+# Share of the threshold: a bound is active if widening it is predicted to lower the deviance
+# by more.
 ACTIVE = 1e-3
-# Of the rise of the deviance: an end of which priors and limits make more is theirs.
+# Share of the rise of the deviance: priors and limits that make more set the end.
 MOST = 0.5
-# Of the threshold: the error of a fit that is to say whether a value is excluded.
+# Share of the threshold: error of fits that decide whether a value is excluded.
 TOLERANCE = 1e-2
-# Bounds of which one is looked for that moves an end most, and the steps allowed for each.
+# Bounds that are widened one by one to find the strongest, and the steps allowed for each.
 MOST_BOUNDS, MOST_STEPS = 3, 8
 NOT_COMPUTED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
 
@@ -52,7 +53,7 @@ class ClosedEnd:
 
 
 class OriginFinder:
-    """Finds what makes closed ends of one profile, and counts the simulations for it.
+    """Finds what sets closed ends of one profile, and counts the simulations for it.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class OriginFinder:
         self.n_simulations = 0
 
     def side(self, end: ClosedEnd) -> Side:
-        """The side with what makes its end; with nothing where that could not be computed.
+        """The side with what sets its end; unchanged where that could not be computed.
 
         An end is set by bounds of other parameters where such a bound is active there or at the
         best fit and, computed again with twice the room for all parameters, the end moves by more
@@ -100,7 +101,7 @@ class OriginFinder:
         return replace(end.side, made_by=made_by)
 
     def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
-        """Reduction predicted by the multipliers for twice the room at active bounds of others."""
+        """Reduction that Lagrange multipliers predict for twice the room, by active bound."""
         problem, quantity = self._problem, self._walk.quantity
         parameters = problem.parameters
         own = quantity.name if isinstance(quantity, ParameterQuantity) else ""
@@ -221,7 +222,7 @@ class OriginFinder:
         return names[int(np.argmin(rises))]
 
     def _farthest_outside(self) -> str:
-        """The parameter that lies farthest outside its bounds at an optimum beyond them."""
+        """The parameter farthest outside its bounds at an optimum beyond them."""
         parameters = self._problem.parameters
         room = parameters.upper - parameters.lower
         beyond = np.array(self._beyond)
@@ -247,7 +248,7 @@ class OriginFinder:
         return wider
 
     def _made_by(self, end: ClosedEnd) -> EndOrigin:
-        """Data, or what is believed of the knee where that makes most of the rise: the larger."""
+        """Data; or priors or limits, whichever make more, where they make most of the rise."""
         at, best = end.nearest.evaluation, self._optimum
         n = n_prior_rows(self._problem)
         first = best.residuals.size - n

@@ -17,14 +17,14 @@ from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 
-# Of one way.
+# Simulations along one ray.
 BUDGET = 4000
 N_RAYS = 24
 RADIUS = "radius"
 MOST_ROUNDS = 4
-# Of the deviance: predicted reduction that the optimum may leave.
+# Predicted reduction of the deviance that the optimum may leave.
 OPTIMUM_TOLERANCE = 1e-6
-# Of the largest: a variance below this is that of a combination the data fix, or none at all.
+# Added to the covariance, in squared typical steps, so that it is positive definite.
 SMALLEST = 1e-12
 
 
@@ -61,7 +61,7 @@ class PairProfile:
     def contour(self, level: float) -> Array:
         """The contour of the joint set at a level up to the profile's own, ``(n_rays, 2)``.
 
-        A row is NaN where the way does not reach that level.
+        A row is NaN where the ray does not reach that level.
 
         Raises
         ------
@@ -168,9 +168,9 @@ class RayProblem:
     problem
         The problem.
     origin
-        Theta where the way begins, shape ``(n,)``.
+        Theta where the ray begins, shape ``(n,)``.
     pair
-        Where the two parameters stand in theta.
+        Places of the two parameters in theta.
     direction
         Change of the two per unit of distance, shape ``(2,)``.
     """
@@ -191,7 +191,7 @@ class RayProblem:
             bound = everything.upper[i] if change > 0 else everything.lower[i]
             if change != 0.0:
                 lengths.append((bound - self.origin[i]) / change)
-        # Bounds must differ, so an optimum on a bound keeps a way of no importance.
+        # Bounds must differ, so the ray of an optimum on a bound keeps a negligible length.
         farthest = max(float(min(lengths)), np.finfo(np.float64).tiny)
         return Parameters(
             names=(RADIUS, *others.names),

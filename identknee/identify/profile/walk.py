@@ -144,9 +144,9 @@ def _points_around(
     return points
 
 
-# Of the threshold: a lower deviance than the optimum's by more than this starts a profile over.
+# Share of the threshold: a deviance lower than the optimum's by more restarts the profile.
 BETTER = 1e-4
-# Of the threshold: predicted reduction that a fit stopped at the feasibility boundary may leave.
+# Share of the threshold: reduction that a fit at the feasibility boundary may leave.
 CUT_OFF = 5e-2
 # How much farther than the last step the path may be extended by its curvature.
 FARTHEST = 2.5

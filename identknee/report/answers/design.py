@@ -131,7 +131,7 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
     order = " for its cost" if has_costs else ""
     steps = " ".join(
         f"{capitalised(_step_words(answer, x))}"
-        f"{sizes_words(answer.nuisances, x['name'])}: {_percent(x)}."
+        f"{sizes_words(answer.nuisances, x['name'])}: {100.0 * x['narrowing']:.2g} %."
         for x in best.values()
     )
     final = " A cut is final: make the trials before it first." if "cut" in best else ""
@@ -187,10 +187,6 @@ def sizes_words(nuisances: Sequence[NuisanceEstimate], name: str) -> str:
         return ""
     new, old = (" and ".join(f"{y * x:.3g} {unit}" for x, unit in assumed) for y in (SHARE, 1.0))
     return f" (to {new} instead of {old})"
-
-
-def _percent(row: dict[str, Any]) -> str:
-    return f"{100.0 * row['narrowing']:.2g} %"
 
 
 # Beyond so many, targets are counted and not named.

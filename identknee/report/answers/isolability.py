@@ -35,11 +35,6 @@ def _few(causes: Sequence[str]) -> str:
     return listed_first([cause_label(x) for x in causes], MOST_CAUSES)
 
 
-def distances_of(answer: Isolability) -> Distances:
-    """The distances of all causes from one another."""
-    return Distances(effects=answer.rivals, rivals=answer.rivals, values=answer.distances)
-
-
 class IsolabilityPresenter(Presenter[Isolability]):
     """How it is shown what a protocol could distinguish."""
 
@@ -81,12 +76,15 @@ class IsolabilityPresenter(Presenter[Isolability]):
     def drawings(self, answer: Isolability, subject: str, knee: Knee | None) -> Iterator[Drawing]:
         from identknee.report.diagnosis_figures import isolability_figure
 
+        names = answer.rivals
         yield Drawing(
             name="isolability",
-            figure=isolability_figure(distances_of(answer)),
+            figure=isolability_figure(
+                Distances(effects=names, rivals=names, values=answer.distances)
+            ),
             caption="How far the data of each cause (rows) are from what another cause (columns) "
             "could explain in its place. Causes in dark cells cannot be distinguished.",
-            description=f"Distances between {len(answer.rivals)} causes.",
+            description=f"Distances between {len(names)} causes.",
         )
 
     @override
