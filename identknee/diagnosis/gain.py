@@ -462,10 +462,10 @@ def _score(
 def _depends_on_prior(
     whole: Evaluation, rows: tuple[IntArray, IntArray], observations: Observations, p: Parameters
 ) -> bool:
-    """Whether held values vary by more than noise with what the trials kept say nothing of.
+    """Whether held values depend, by more than noise, on directions that kept trials leave open.
 
-    Few trials always leave some direction of many parameters to the prior; it counts where the
-    prediction depends on it.
+    Few trials leave some directions of many parameters to the prior; only those that the prediction
+    depends on count.
     """
     steps = p.prior_sd * np.where(p.is_log, whole.theta, 1.0)
     scaled = whole.jacobian / observations.sd[:, None] * steps

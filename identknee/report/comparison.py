@@ -28,7 +28,7 @@ from identknee.verbs.registry import verbs_with_answer
 from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
-# A misfit compares between answers that differ in none of these.
+# Misfits are comparable only between answers that differ in none of these.
 OF_MISFIT = frozenset({"trials", "weighting", "noise_mm", "noise_deg"})
 # Options that the question has in words.
 IN_QUESTION = frozenset(
@@ -38,7 +38,7 @@ IN_QUESTION = frozenset(
         *("keep", "leave-out", "weighting", "seed"),
     )
 )
-# Terms that are no measured values.
+# Terms of the deviance that do not come from measured values.
 NO_DATA = frozenset({LIGAMENT_TERM, NUISANCE_TERM, PLAUSIBILITY_TERM})
 POINT, SIMULATED, NO_INTERVAL = "fit", "simulated with", "no interval"
 FIXED = "held"

@@ -72,7 +72,7 @@ def candidates_figure(
     gains
         Gain of each, shape ``(k,)``; NaN for those excluded, drawn as crosses.
     chosen
-        Places of those chosen in the order of their help; one may come more than once. Loads that
+        Places of those chosen, the most helpful first; one may come more than once. Loads that
         candidates have at less than half of the angles are left out where none is chosen.
     label
         What a gain is, with its unit.

@@ -53,7 +53,7 @@ from identknee.verbs.diagnosis import (
 
 N_CANDIDATES = 3
 SMALL, TINY = 8, 7
-# Share of the largest score from which on a cell is dark.
+# Share of the largest score above which a cell is dark.
 DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
 
@@ -254,7 +254,7 @@ def scores_figure(steps: Sequence[StepScores]) -> Figure:
     height = 0.8 / len(steps)
     for k, step in enumerate(steps):
         places = np.arange(len(order)) + (k - 0.5 * (len(steps) - 1)) * height
-        # What is in the fit already has no score beside it.
+        # Effects that are in the fit already have no score.
         scores = [step.scores.get(x, 0.0) for x in order]
         beside = listed(map(cause_label, step.beside))
         axes.barh(
@@ -499,7 +499,7 @@ def _draw_plateau(axes: Axes, knee: Knee, lines: Mapping[str, Array], *, is_name
     taken: list[Array] = []
     for ligament, place in zip(knee.ligaments, places, strict=True) if is_named else ():
         away = 7.0 * place / max(float(np.hypot(*place)), 1.0)
-        # A name that would lie upon another one is left out: bundles insert side by side.
+        # Bundles insert side by side: a name that would overlap another is left out.
         box = np.array([LETTER[0] * len(ligament.name), LETTER[1]])
         middle = place + 0.5 * away + 0.5 * box * [np.sign(away[0]) * (abs(away[0]) > 4.0), 0.0]
         if any((np.abs(x[0] - middle) < 0.5 * (x[1] + box)).all() for x in taken):

@@ -122,7 +122,7 @@ class Paper(OwnFigure):
             super().savefig(fname, **how)
 
 
-# What figures are made of; for those who read types it is any figure.
+# The class of all figures; type checkers see that of matplotlib.
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure
 else:

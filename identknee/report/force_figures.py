@@ -55,7 +55,7 @@ def compared_forces_figure(forces: ComparedForces) -> Figure:
 
 
 GREY = "0.85"
-# Values farther out than so many limits stand at the edge.
+# Values beyond so many times the limit are drawn at the edge.
 MOST = 3.0
 
 
@@ -81,7 +81,7 @@ def plausibility_figure(price: PlausibilityPrice) -> Figure:
         ("fit with limits", [x.limit.value for x in rows], COLOURS[0]),
     ):
         sizes = np.array([x.limit.size for x in rows])
-        # What is slack has no strain.
+        # A slack ligament has no strain.
         is_signed = np.array([x.limit.form != "within" for x in rows])
         shares = np.where(is_signed, np.maximum(values, 0.0), np.abs(values)) / sizes
         axes.plot(

@@ -13,7 +13,7 @@ from identknee.verbs.question import Question
 from identknee.verbs.registry import verb_named
 
 DIGITS = 12  # of a digest
-# Options that change no number, or that the subject and the data of the sentence stand for.
+# Options that change no number, or that the sentence names as its subject and data.
 UNSAID = frozenset({"subject", "data", "results", "out", "workers"})
 MOST_TRIALS = 4
 SOFTWARE = (

@@ -56,7 +56,7 @@ def brief_lines(answer: Answer) -> list[str]:
     lines[-1] = lines[-1].rstrip("\n")
     rest = by_severity(opening.without(answer.findings))
     serious = [x for x in rest if x.severity is not Severity.INFO]
-    # However many there are, no error goes by.
+    # Errors are all printed, however many there are.
     n_errors = sum(x.severity is Severity.ERROR for x in serious)
     shown = serious[: max(MOST_FINDINGS - opening.n_brief, n_errors)]
     lines += map(brief_line, shown)

@@ -160,7 +160,7 @@ def draw_scene(
         right, below = x >= middle, -4.0
         width = LETTER_WIDTH * len(name)
         left = POINTS_PER_MM * x + (6.0 if right else -6.0 - width)
-        # Bundles insert side by side: names that would lie upon one another stand below.
+        # Bundles insert side by side: names that would overlap are moved below.
         while any(
             left < end
             and start < left + width

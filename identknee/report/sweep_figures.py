@@ -75,7 +75,7 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
         axes.set_title(title, fontsize=9)
         axes.set_xlabel("starts, by objective")
         bare(axes)
-    # A limit ends the scaling of all panels that share the axis.
+    # A limit stops autoscaling of all panels that share the axis.
     highest = max((float(np.max(x[np.isfinite(x)], initial=lowest)) for x in drawn), default=lowest)
     grid[0].set_ylim(0.3 * lowest, 3.0 * highest)
     grid[0].set_ylabel("objective" + " (below 1e-12 at 1e-12)" * (lowest <= LOWEST))
@@ -145,7 +145,7 @@ def _mark(marker: str, colour: str, label: str, **how: Any) -> Line2D:
     return Line2D([], [], linestyle="", marker=marker, color=colour, label=label, **how)
 
 
-# What is below this is exact for every purpose and would stretch the axis.
+# Smaller values are as good as exact and would stretch the axis.
 FLOOR = 1e-3
 
 

@@ -15,7 +15,7 @@ from identknee.verbs.answer import Answer
 
 ESTIMATES = "estimates"
 DASH = "A dash is an end that is open, or a value that is not known."
-# What LaTeX reads as its own, and signs that its oldest engine lacks.
+# Characters that are special in LaTeX, and signs that pdfTeX lacks.
 LATEX = {
     "\\": r"\textbackslash{}",
     **{x: f"\\{x}" for x in "&%$#_{}"},
@@ -43,7 +43,7 @@ LATEX = {
 }
 # Longer texts of a column are broken into lines.
 LONGEST, WRAPPED = 36, r"p{0.25\linewidth}"
-# What a command may still be told is nothing that a paper says.
+# Advice on commands does not belong in a paper.
 HINT = re.compile(r"; [^;.]*--[^.]*")
 NUMBER = re.compile(r"(-?)(\d+(?:\.\d+)?)(?:e([+-]\d+))?")
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Cell = str | float | int | None
-# That a notebook shows.
+# Rows that a notebook shows.
 MOST_ROWS = 12
 
 

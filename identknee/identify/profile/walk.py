@@ -332,12 +332,12 @@ class ProfileContext:
 
 
 def step_to(rise: float, slope: float, curvature: float) -> float:
-    """The step at which a parabola has risen by the threshold; infinite if never.
+    """The step at which a parabola has risen by `rise`; infinite if never.
 
     Parameters
     ----------
     rise
-        How much higher, > 0.
+        The rise, > 0.
     slope, curvature
         First derivative, and half the second, >= 0.
 
@@ -347,7 +347,7 @@ def step_to(rise: float, slope: float, curvature: float) -> float:
     2.0
     """
     root = np.sqrt(slope**2 + 4.0 * curvature * rise)
-    # The form without a difference of nearly equal numbers.
+    # This form avoids cancellation.
     if slope >= 0:
         return float(2.0 * rise / (slope + root)) if slope + root > 0 else np.inf
     return float((root - slope) / (2.0 * curvature)) if curvature > 0 else np.inf
@@ -356,15 +356,15 @@ def step_to(rise: float, slope: float, curvature: float) -> float:
 POINTS_PER_SIDE = 5
 MOST_POINTS = 80
 LONGER = 2.5
-# A side of the box is crossed in at least so many steps, lest one jumps over what stands there.
+# A bounded side is crossed in at least so many steps, so that none skips a narrow feature.
 STEPS_ACROSS = 6
-# Of the deviance, as parts of the threshold: what a fit on the curve and at an end may leave, and
-# from which height on the next fit is to be the end.
+# Shares of the threshold: tolerance of fits on the curve and at an end, and the rise beyond which
+# the next fit is meant to be the end.
 ON_CURVE, AT_END, NEAR_END = 1e-3, 2e-4, 0.9
-# Tolerances by which a tight fit may lie above its minimum: beside a kink slopes say too little.
+# Tolerances by which a tight fit may lie above its minimum, since slopes mislead beside a kink.
 LEFT = 3.0
-# Of the signed root at the threshold: from how near the slope leads to the end. A slope beside a
-# kink is right to a part of itself.
+# Share of the root of the threshold within which the slope is extrapolated to the end, and the
+# relative error of a slope beside a kink.
 CLOSE, SLOPE_ERROR = 2e-3, 0.1
 # Share of the distance to the optimum.
 END_TOLERANCE = 1e-4

@@ -280,7 +280,7 @@ def report_tables(results: Sequence[Result]) -> dict[str, tuple[Table, tuple[str
         own = f"{file_word(name)}-" if len(subjects) > 1 else ""
         seen = overview(main)
         whole = {ESTIMATES: estimates_table(seen)}
-        # The sets hold on the proviso of the verdict.
+        # The sets hold only under the condition of the verdict.
         verdict = (seen.verdict,) if seen.verdict else ()
         fits = _fits_together(subject.merged.results)
         if fits:
@@ -498,7 +498,7 @@ def _sourced_statements(results: Sequence[Result]) -> list[Sourced]:
     together = _fits_together(results)
     sourced: list[Sourced] = []
     for result in results:
-        # Of a fit that another beats no warning leads the page.
+        # Warnings of a fit that another one beats do not lead the page.
         is_past = any(has_better_fit(x, fits) for x in of_type([result.answer], Calibration))
         against = warnings(result)
         if is_past:

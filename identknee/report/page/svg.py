@@ -20,7 +20,7 @@ MARGIN = 9.0
 # A figure gets no smaller than its smallest letters allow [pt]; it scrolls instead.
 LEAST_LETTERS = 5.6
 RASTER_DPI = 130
-# Of the text's colour, at least: what is lighter is hard to read.
+# Least share of the text's colour: lighter text is hard to read.
 TEXT_SHARE = 0.72
 PAGE_COLOURS = {colour.lower(): f"var(--series-{k})" for k, colour in enumerate(COLOURS)}
 SVG, LINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}href"
@@ -67,7 +67,7 @@ def inline_svg(figure: Figure, identity: str, description: str) -> str:
     root = ET.fromstring(buffer.getvalue())
     for element in root.findall(f"{SVG}metadata"):
         root.remove(element)
-    # The paper of the figure and of its axes is that of the page.
+    # The figure and its axes have the background of the page.
     for patch in root.iterfind(f".//{SVG}g"):
         paper = patch.find(f"{SVG}path")
         if paper is not None and patch.get("id", "").startswith("patch_"):

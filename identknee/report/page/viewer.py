@@ -75,7 +75,7 @@ def few_triangles(surface: Surface, number: int) -> Mesh:
 def _patches(surface: Surface, number: int) -> tuple[IntArray, Array]:
     """The patch of every vertex, and the place of every patch [mm]."""
     vertices = surface.vertices
-    # A vertex of no triangle weighs next to nothing.
+    # A vertex without a triangle has almost no weight.
     weight = np.maximum(surface.vertex_areas, 1e-9 * surface.areas.sum())
     # Seeds evenly along the surface's area, in an order that keeps neighbours together.
     order = cKDTree(vertices).indices
