@@ -23,7 +23,6 @@ from identknee.diagnosis.fitting import (
     stated_noise,
 )
 from identknee.diagnosis.isolability import (
-    LEAST_DISTANCE,
     AdvisedTrials,
     Distances,
     Pair,
@@ -33,6 +32,7 @@ from identknee.diagnosis.isolability import (
     noncentrality_root,
     pair_distances,
 )
+from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.identify.optimum import nuisance_places
 from identknee.laxity.protocol import Protocol, concatenate, unique_names
 from identknee.laxity.table import Laxity

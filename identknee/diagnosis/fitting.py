@@ -35,7 +35,7 @@ from identknee.diagnosis.misfit import (
     smooth_patterns,
 )
 from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
-from identknee.diagnosis.score import CandidateScore, Scores
+from identknee.diagnosis.score import LEAST_DISTANCE, CandidateScore, Scores
 from identknee.identify.laplace import Laplace, laplace, log_evidence
 from identknee.identify.optimum import (
     NEARLY_GONE,
@@ -620,7 +620,6 @@ AT_END = 1e-3
 # A rival this much less likely is excluded if it could be distinguished; beyond the second number
 # whether it could or not.
 NEAR_EVIDENCE, FAR_EVIDENCE = 6.0, 10.0
-LEAST_DISTANCE = 5.0
 # What the score of a cause may be by chance, and its share of the highest score: below either a
 # cause that could not be fitted would not have explained the data. Of 22 causes hidden one by one
 # with a signal of 12 the true one had 0.72 of the highest score or more.

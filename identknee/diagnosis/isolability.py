@@ -7,14 +7,12 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
 
-from identknee.diagnosis.score import ProjectedSignature, effect_names
+from identknee.diagnosis.score import LEAST_DISTANCE, ProjectedSignature, effect_names
 from identknee.identify.trial_choice import choose
 from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import NuisancePosterior, schur_complement
 
-# Effects closer than this cannot be distinguished; it allows for overestimated amplitudes.
-LEAST_DISTANCE = 5.0
 # Trials are advised until the least distance is ENOUGH, a margin above LEAST_DISTANCE, or until
 # there are MOST_TRIALS.
 ENOUGH, MOST_TRIALS = 7.0, 12

@@ -233,6 +233,8 @@ N_DRAWS = 4000
 AT_ONCE = 4_000_000
 # The probability of a false alarm at which the quantile is taken.
 LEVEL = 0.05
+# Effects closer than this cannot be distinguished; it allows for overestimated amplitudes.
+LEAST_DISTANCE = 5.0
 # A z-score below it is the root of a rounding error, and would order causes by the processor.
 ROUNDED_SCORE = 1e-6
 # Residuals smaller than this share of the noise are what a search or rounding left, no measurement.

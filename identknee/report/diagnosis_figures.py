@@ -11,9 +11,10 @@ from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
 from identknee.checks.data_noise import Curve, load_curves
-from identknee.diagnosis.isolability import LEAST_DISTANCE, Distances
+from identknee.diagnosis.isolability import Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
+from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import Protocol, as_shown
 from identknee.laxity.table import COORDINATES

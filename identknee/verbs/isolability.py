@@ -6,7 +6,7 @@ from typing import Annotated, Unpack, overload
 from identknee.calibrate.fit import StartLike
 from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
-from identknee.diagnosis.isolability import LEAST_DISTANCE
+from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.effects.effect import Effect
 from identknee.runs.arrays import Array

@@ -261,7 +261,7 @@ def check_subject(
     Checks surfaces, frames and ligaments, then the stability of the model under a protocol. It
     does so at the parameters of the subject and in a range around them: stiffness by +-50 %,
     reference strain by +-3 %. If trials have no stable pose, it says which insertions to move,
-    within their uncertainty. The exit code is 2 if there is an error.
+    within their uncertainty. The exit code is 1 if there is an error.
 
     Raises
     ------
@@ -337,7 +337,7 @@ def settle_subject(
 ) -> SettledSubject:
     """The subject with its insertions moved, within their uncertainty, until all trials converge.
 
-    They stay within their uncertainty. Writes a subject folder with the moved insertions, and says
+    Writes a subject folder with the moved insertions, and says
     how far each one moved. A moved insertion is no longer the one that was segmented. The exit
     code is 1 if some trials still have no stable pose. Nothing is random.
 

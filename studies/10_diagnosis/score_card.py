@@ -69,7 +69,7 @@ def sentences(record: Row) -> dict[str, str]:
     misnamed = [x for x in cases if ending(x) is Ending.WRONG]
     wrong = ik.identify.share(len(misnamed), len(cases))
     unlisted = all(x["series"] == UNLISTED for x in misnamed)
-    which = ", all with an effect that no library lists," if misnamed and unlisted else ""
+    which = " All of these hide an effect that no library lists." if misnamed and unlisted else ""
     nulls = [x for x in cases if x["series"] == NULLS]
     alarms = sum(x["verdict"] not in SILENT for x in nulls)
     right = [x for x in cases if x["verdict"] == "NAMED" and ending(x) is Ending.RIGHT]
@@ -77,7 +77,7 @@ def sentences(record: Row) -> dict[str, str]:
     held = 100 * values_of(right, "coverage").mean(axis=0) if right else [np.nan] * 2
     answer = (
         f"{' '.join(by_signal)} A wrong name is given in {wrong.count} of all {len(cases)} cases "
-        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence){which} and an alarm is raised "
+        f"(at most {100 * wrong.upper:.0f} % with 95 % confidence).{which} An alarm is raised "
         f"in {alarms} of the {len(nulls)} cases with nothing hidden. In the {len(right)} cases "
         f"named correctly the median error of the stiffnesses falls from {errors[0]:.2f} to "
         f"{errors[1]:.2f} kN, and {held[1]:.0f} % of the parameters' 95 % intervals contain the "

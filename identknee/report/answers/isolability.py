@@ -65,7 +65,7 @@ class IsolabilityPresenter(Presenter[Isolability]):
                 one = f"One more trial ({trials_words(group.advised_trials)})"
                 yield Statement(
                     question=Question.NEXT,
-                    sentence=f"{one if n == 1 else f'{n} more trials'} would help to distinguish "
+                    sentence=f"{one if n == 1 else f'{n} more trials'} would help to tell "
                     f"{_few(group.effects) if len(answer.groups) > 1 else 'them'} apart. The two "
                     f"closest would then be {group.distance_with_advised_trials:.1f} and not "
                     f"{group.distance:.1f} units of noise apart.",

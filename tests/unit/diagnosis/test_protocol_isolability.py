@@ -12,7 +12,8 @@ from identknee.diagnosis.advice import (
     protocol_isolability,
 )
 from identknee.diagnosis.candidates import Variant
-from identknee.diagnosis.isolability import ENOUGH, LEAST_DISTANCE, MOST_TRIALS
+from identknee.diagnosis.isolability import ENOUGH, MOST_TRIALS
+from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.laxity.protocol import Protocol, concatenate
 from identknee.model.effects.library import library
 from identknee.subject.knee import Knee
