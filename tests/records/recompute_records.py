@@ -45,14 +45,13 @@ WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 # 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09)
 # and bootstraps of ranks to others (07). Searches on a measured knee find lower fits since
 # trials without equilibrium have residuals (15), and fits of gross misfit, as with wrong insertions
-# that are not stated, since others begin with each stiffness nearly gone (12, 14). Differences are
+# that are not stated, since others begin with each stiffness nearly gone (12). Differences are
 # shown and fail nothing until the study is computed again. Nothing else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
     "09_optimizers",
     "12_geometry_uncertainty",
-    "14_uncertain_geometry",
     "15_measured_knee",
 }
 
