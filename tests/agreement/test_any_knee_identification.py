@@ -66,6 +66,7 @@ def summaries(tmp_path_factory: pytest.TempPathFactory) -> Summaries:
     return both
 
 
+@pytest.mark.slow
 def test_the_information_is_the_same(summaries: Summaries) -> None:
     here, there = summaries("information")
     assert set(here["sd"]) == set(FREE)

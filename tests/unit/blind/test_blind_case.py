@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from posed_knees import NAMES, posed_reference
+from slow_cases import some_slow
 
 from identknee.blind.case import BlindCase, blind_case, write_blind
 from identknee.blind.effects import EFFECTS, HISTORY, LISTED
@@ -102,7 +103,7 @@ def test_an_effect_is_sized_for_its_signal(knee: Knee, protocol: Protocol, effec
     assert case.truth.signal == pytest.approx(SIGNAL, rel=SIGNAL_SHARE)
 
 
-@pytest.mark.parametrize("effect", sorted(EFFECTS))
+@pytest.mark.parametrize("effect", some_slow(sorted(EFFECTS), sorted(EFFECTS)[::2]))
 def test_every_effect_changes_the_data(
     knee: Knee, protocol: Protocol, null: BlindCase, effect: str
 ) -> None:
@@ -131,6 +132,7 @@ def test_random_effects_come_from_the_seed(knee: Knee, protocol: Protocol) -> No
     assert len(drawn) > 1
 
 
+@pytest.mark.slow
 def test_any_knee_will_do() -> None:
     """One of other names, sides and places, whose femur is a mesh; a line is on its bones."""
     knee = posed_reference(4, side="right", edge_mm=3.0)

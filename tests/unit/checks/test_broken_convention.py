@@ -127,6 +127,7 @@ def test_rounding_is_no_misfit(clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
     assert find_broken_convention(model, rounded, model.parameters.start) is None
 
 
+@pytest.mark.slow
 def test_fit_and_diagnose_say_it_first(
     clean: tuple[ik.LaxityModel, ik.Laxity], tmp_path: Path
 ) -> None:

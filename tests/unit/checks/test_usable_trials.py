@@ -129,6 +129,7 @@ def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() 
     assert (lost.code, lost.values["n_used"]) == ("trials-lost", laxity.n - 1)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_begins_there_too() -> None:
     laxity = displaced(as_read())
     effects = [effect_named(slack(), "flexion_offset")]

@@ -72,6 +72,7 @@ def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
     assert "no verb" in refused("reveal", folder, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_signal_that_is_not_reached_is_said(tmp_path: Path) -> None:
     words = ["blind", "--effect", "toe_strain", "--signal", 20, "--seed", 1, "--out", tmp_path]
     result = run(*words)

@@ -89,6 +89,7 @@ def test_wrong_words_are_refused(
     assert sentence in refused("design", "reference", noisy, *words, "--out", tmp_path)
 
 
+@pytest.mark.slow
 def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_path: Path) -> None:
     words = (noisy, *HELD, "--n-trials", 1, "--target", "LCL.stiffness_kN")
     words = (*words, "--candidates", short_protocol(tmp_path))

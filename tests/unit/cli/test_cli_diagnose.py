@@ -120,6 +120,7 @@ def test_without_known_noise_nothing_can_be_said(tmp_path: Path) -> None:
     assert summary["causes"] == []
 
 
+@pytest.mark.slow
 def test_trials_say_what_they_could_tell_before_any_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

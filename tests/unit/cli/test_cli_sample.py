@@ -90,6 +90,7 @@ def test_basins_of_a_sweep_are_where_it_starts(table: Path, tmp_path: Path) -> N
     assert "list basins" in refused(*words, "--basins", path)
 
 
+@pytest.mark.slow
 def test_other_data_in_the_folder_of_an_unfinished_run_are_refused(
     table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

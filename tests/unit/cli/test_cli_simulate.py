@@ -32,6 +32,7 @@ def test_the_table_is_what_the_model_predicts(tmp_path: Path) -> None:
     assert read.sd is None
 
 
+@pytest.mark.slow
 def test_the_trials_of_a_measured_table_are_run_as_a_fit_runs_them(tmp_path: Path) -> None:
     table, out = ik.read_laxity("s192803"), tmp_path / "out"
     write_laxity(table, tmp_path / "measured.csv")

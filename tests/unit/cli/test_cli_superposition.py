@@ -45,6 +45,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_fit_has_them_as_a_term_and_draws_them(folder: Path) -> None:
     out = folder / "out"
     words = ("fit", "reference", folder / "experiments.toml", *HELD, "--more-starts", 0)

@@ -35,6 +35,7 @@ def is_alike(line: str, printed: str) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_every_line_of_the_example_is_printed_in_its_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) ->
     assert "none of csv, latex, markdown" in refused("report", folder, *page, "--tables", "odt")
 
 
+@pytest.mark.slow
 def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "fit", tmp_path, dirs_exist_ok=True)
     kept = summary_in(folder / "fit")

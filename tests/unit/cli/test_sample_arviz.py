@@ -43,6 +43,7 @@ def sampled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @OLD
 @pytest.mark.filterwarnings("ignore")
 def test_leave_one_out_and_pictures_come_from_the_file(sampled: Path) -> None:

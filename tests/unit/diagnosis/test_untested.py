@@ -182,6 +182,7 @@ def test_a_refit_that_fails_begins_with_less_of_the_effect(
     assert found.log_evidence == pytest.approx(free.log_evidence, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_fails_from_everywhere_is_said_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     found = diagnosed(FRAME)
     blocked = Blocked(FRAME, -1.0)

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from cli_runs import run
-from slow_cases import some_slow
 
 DOCS = Path(__file__).parents[3] / "docs"
 MADE = {
@@ -25,7 +24,8 @@ MADE = {
 
 
 @pytest.mark.usefixtures("few_starts")
-@pytest.mark.parametrize("page", some_slow(MADE, ["for_a_paper"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("page", MADE)
 def test_all_of_the_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")

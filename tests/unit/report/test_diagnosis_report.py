@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnoses import FRAME, answered, diagnosed
+from slow_cases import some_slow
 
 from identknee.diagnosis.fitting import RivalState, refit
 from identknee.diagnosis.investigation import Investigation
@@ -44,7 +45,7 @@ def _unexplained(conclusion: Conclusion) -> Conclusion:
     return replace(conclusion, verdict=Verdict.UNEXPLAINED, group=())
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", some_slow(EFFECTS, ["femur_frame"]))
 def test_every_figure_can_be_drawn(effect: str | None) -> None:
     for figure in diagnosis_figures(answered(effect), reference_knee()).values():
         assert png(figure).startswith(b"\x89PNG")

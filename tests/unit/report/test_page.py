@@ -220,6 +220,7 @@ def test_a_page_of_a_simulation_begins_with_what_it_says() -> None:
     assert page.count("simulated trials have a stable pose") == 1
 
 
+@pytest.mark.slow
 def test_fits_of_one_table_stand_side_by_side(reference: Knee, tmp_path: Path) -> None:
     for name in "ab":
         fit_folder(tmp_path / name, reference)

@@ -17,7 +17,10 @@ from identknee.subject.examples import NAMED_SUBJECTS
 SUBJECTS = (*(x.name for x in NAMED_SUBJECTS), "lenhart2015_bundles")
 PAPER = "13_paper"  # draws a page of the documentation, and has a test of its own
 NAMES = sorted({x.parent.name for x in STUDIES.glob("*/compute.py")} - {PAPER})
-SLOW = ("02_initial_guess", "04_profiles", "05_posterior")
+SLOW = (
+    *("02_initial_guess", "03_basin_of_attraction", "04_profiles", "05_posterior"),
+    *("07_global_sensitivity", "12_geometry_uncertainty"),
+)
 LARGEST_RECORD = 1_000_000  # bytes
 
 

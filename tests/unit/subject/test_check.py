@@ -47,6 +47,7 @@ def test_named_subjects_raise_no_alarm() -> None:
         assert {round(x.values["depth_mm"], 2) for x in findings} == {0.41, 0.36}
 
 
+@pytest.mark.slow
 def test_the_femur_is_sorted_once_for_contact_and_check(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

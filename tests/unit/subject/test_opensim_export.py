@@ -87,6 +87,7 @@ def test_what_does_not_change_is_not_touched(tmp_path: Path, knee: Knee) -> None
     assert before == after
 
 
+@pytest.mark.slow
 def test_bundles_share_what_their_merged_line_gets(tmp_path: Path) -> None:
     wanted = changed(import_opensim("lenhart2015", bundles="merged"))
     path = write_opensim(wanted, tmp_path, source="lenhart2015")

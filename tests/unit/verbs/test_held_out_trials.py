@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_cases import some_slow
 from small_knee import as_read, small_knee
 
 import identknee as ik
@@ -73,7 +74,7 @@ def test_intervals_hold_what_they_say() -> None:
     assert 0.1 < min(sds) < 0.4
 
 
-@pytest.mark.parametrize("noise", ["0.2mm,0.2deg", "0.1mm,0.1deg"])
+@pytest.mark.parametrize("noise", some_slow(["0.2mm,0.2deg", "0.1mm,0.1deg"], ["0.1mm,0.1deg"]))
 def test_intervals_are_in_mm_and_deg_where_the_noise_is_stated(noise: str) -> None:
     plain = ik.fit(small_knee(), noisy(1), hold_out=HELD).held_out
     stated = ik.fit(small_knee(), noisy(1), hold_out=HELD, noise=noise).held_out

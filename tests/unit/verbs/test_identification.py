@@ -127,6 +127,7 @@ def test_a_misfit_beyond_the_noise_is_said(measured: Laxity, tmp_path: Path) -> 
         assert found.values["deviance"] == deviance
 
 
+@pytest.mark.slow
 def test_an_estimated_noise_that_no_instrument_has_is_said(
     measured: Laxity, tmp_path: Path
 ) -> None:
