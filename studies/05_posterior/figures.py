@@ -54,8 +54,9 @@ def figure_2(knees: Row) -> Figure:
 def figure_3(knees: Row) -> Figure:
     """Forces at the highest loads."""
     part = knees[KNEE]["predictions"]
+    protocol = ik.load_protocol("seed63")
     return ik.report.forces_figure(
-        part["trials"],
+        [ik.laxity.load_words(protocol, protocol.trials.index(x)) for x in part["trials"]],
         part["ligaments"],
         np.array(part["force_quantiles_N"]),
         truth=np.array(part["true_force_N"]),
