@@ -40,7 +40,7 @@ class CliffMap:
         key="theta_edge",
     )
     edge_distances: Array = array(
-        "Distance of that cliff from the target; NaN likewise",
+        "Distance of that cliff from the target; NaN where the path has none",
         "path",
         unit=DISTANCE,
         key="edge_distance",

@@ -371,7 +371,7 @@ class CandidatePredictions:
         "there is no prediction"
     )
     jacobians: Array = entry(
-        "Derivatives of that by the scaled parameters, shape ``(q, k, m, n)``; NaN likewise"
+        "Derivatives of that by the scaled parameters, shape ``(q, k, m, n)``; NaN where those are"
     )
     information: Array = entry(
         "That of the trials made, for the scaled parameters, shape ``(q, n, n)``"

@@ -337,9 +337,9 @@ def settle_subject(
 ) -> SettledSubject:
     """The subject with its insertions moved, within their uncertainty, until all trials converge.
 
-    Writes a subject folder with the moved insertions, and says
-    how far each one moved. A moved insertion is no longer the one that was segmented. The exit
-    code is 1 if some trials still have no stable pose. Nothing is random.
+    Writes a subject folder with the moved insertions, and says how far each one moved. A moved
+    insertion is no longer the one that was segmented. The exit code is 1 if some trials still have
+    no stable pose. Nothing is random.
 
     Raises
     ------

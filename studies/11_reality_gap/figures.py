@@ -120,7 +120,7 @@ def visible_figure(record: Row) -> Figure:
     axes.set_yticks(range(len(names)), [*map(cause_label, names)], fontsize=ik.report.SMALL)
     axes.invert_yaxis()
     axes.set_xlabel("amplitude found in 9 of 10 data sets, over the smallest relevant")
-    axes.legend(fontsize=ik.report.SMALL, loc="lower right")
+    figure.legend(fontsize=ik.report.SMALL, loc="outside upper center", ncols=2, frameon=False)
     axes.grid(axis="y", color="0.9")
     return figure
 
