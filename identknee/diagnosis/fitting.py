@@ -32,6 +32,8 @@ from identknee.diagnosis.misfit import (
     cauchy_combination,
     chi2_or_f_test,
     nested_check,
+    process_check,
+    process_errors,
     smooth_patterns,
 )
 from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
@@ -687,6 +689,21 @@ class Refit:
             return whole.p_value
         smooth = nested_check(rows, projector, wider, noise_degrees=self.noise_degrees)
         return cauchy_combination([whole.p_value, smooth.p_value])
+
+    @property
+    def smooth_misfit_p_value(self) -> float:
+        """Probability of so much smooth misfit under noise; 1 where parameters can fit it all."""
+        fitted, protocol = self.fitted, self.fitted.laxity.protocol
+        errors = process_errors(
+            protocol.loads, protocol.flexion_deg, fitted.laxity.is_measured, fitted.noise.sd
+        )
+        projector = fitted.misfit_projector
+        return process_check(
+            fitted.misfit_rows,
+            projector,
+            projector.padded(fitted.noise.whiten(errors)),
+            noise_degrees=self.noise_degrees,
+        ).p_value
 
     def alarm_p_value(self, library_p_value: float, noise_factor: float = 1.0) -> float:
         """Probability of a misfit as clear under noise: library, size and shape together.

@@ -183,9 +183,7 @@ def part_row(problem: ik.LaxityResiduals, found: ik.identify.SweepSearches, want
             ik.identify.recovery(away, ~found.is_kind(ik.Outcome.START_FAILED))
         ),
         "recovered": {
-            f"{end} within {within:g}": recovered_row(
-                found, truth, away, within, polished=end == "polished"
-            )
+            f"{end} within {within:g}": recovered_row(found, truth, away, within, end)
             for end in ("end", "polished")
             for within in WITHIN
         },

@@ -17,6 +17,8 @@ from identknee.diagnosis.misfit import (
     cauchy_combination,
     nested_check,
     omnibus_check,
+    process_check,
+    process_errors,
     smooth_patterns,
 )
 from identknee.runs.arrays import Array
@@ -30,10 +32,13 @@ FLEXION, LOADS, _ = protocol()
 NOISE = unit_noise()
 SMOOTH = NOISE.whiten(smooth_patterns(LOADS, FLEXION, everything()))
 WIDER = FIT.projector.with_columns(SMOOTH)
+ERRORS = process_errors(LOADS, FLEXION, everything(), np.ones(315))
+WHITENED = FIT.projector.padded(NOISE.whiten(ERRORS))
 
 CHECKS: dict[str, Callable[[Array], ResidualTest]] = {
     "omnibus": lambda r: omnibus_check(r, FIT.projector),
     "smooth": lambda r: nested_check(r, FIT.projector, WIDER),
+    "process": lambda r: process_check(r, FIT.projector, WHITENED),
 }
 
 
@@ -58,6 +63,7 @@ def test_smooth_misfit_is_seen_by_what_is_made_for_it_first() -> None:
     found = {name: check(misfit(3.0)).p_value for name, check in CHECKS.items()}
     assert found["smooth"] < 0.01 * found["omnibus"]
     assert found["smooth"] < 1e-3
+    assert found["process"] < 0.1 * found["smooth"]
     large = {name: check(misfit(10.0)).p_value for name, check in CHECKS.items()}
     assert max(large.values()) < 1e-3
 
@@ -91,6 +97,38 @@ def test_patterns_cover_smooth_misfit_of_any_load_and_no_missing_rows() -> None:
         105,
         11 * 5,
     )
+
+
+def test_errors_of_a_smooth_process_have_its_covariance() -> None:
+    """Against the definition, value by value; a coordinate that was not measured has none."""
+    sd = np.random.default_rng(11).uniform(0.2, 0.5, 63 * 2)
+    measured = np.zeros((63, 5), bool)
+    measured[:, [1, 4]] = True
+    errors = process_errors(LOADS, FLEXION, measured, sd)
+    trial, coordinate = np.nonzero(measured)
+    scaled = np.c_[FLEXION / np.ptp(FLEXION) / 2.0, LOADS / np.abs(LOADS).max(axis=0)][trial]
+    apart = ((scaled[:, None] - scaled) ** 2).sum(axis=2)
+    expected = np.outer(sd, sd) * np.exp(-0.5 * apart)
+    expected *= coordinate[:, None] == coordinate
+    assert errors @ errors.T == pytest.approx(expected, abs=1e-6)
+
+
+def test_errors_of_a_process_at_many_places_are_those_at_few() -> None:
+    """Twenty times as many loads, each a little different, add no error of the process."""
+    generator = np.random.default_rng(12)
+    flexion, loads = np.repeat(FLEXION, 20), np.repeat(LOADS, 20, axis=0)
+    loads = loads * generator.uniform(0.5, 1.0, loads.shape)
+    errors = process_errors(loads, flexion, np.ones((len(loads), 1), bool), np.ones(len(loads)))
+    scaled = np.c_[flexion / np.ptp(flexion) / 2.0, loads / np.abs(loads).max(axis=0)]
+    apart = ((scaled[:, None] - scaled) ** 2).sum(axis=2)
+    assert errors @ errors.T == pytest.approx(np.exp(-0.5 * apart), abs=1e-3)
+    assert errors.shape[1] < 100
+
+
+def test_what_parameters_explain_leaves_nothing_to_test() -> None:
+    residuals = FIT.residuals(np.random.default_rng(8), 1)[0]
+    explained = FIT.projector.with_columns(WHITENED)
+    assert process_check(residuals, explained, WHITENED).p_value == 1.0
 
 
 def test_patterns_that_cannot_be_tested_are_refused() -> None:
