@@ -21,9 +21,9 @@ MOST_PROBABLE = 0.99
 # Where the incomplete gamma function is close to the smallest number, its expansion is exact
 # enough.
 LEAST_TAIL = 1e-280
-# Lengths of smooth misfit over the range of flexion and over the largest load of each kind. Of 264
+# Lengths of smooth misfit over the range of flexion and over the largest load of each kind. Of 360
 # hidden effects these told unlisted ones that are mistaken for a listed one best from listed ones.
-FLEXION_LENGTH, LOAD_LENGTH = 2.0, 1.0
+FLEXION_LENGTH, LOAD_LENGTH = 2.0, 0.5
 # Places that determine such a process, and the share of its largest variance that is left out.
 MOST_PLACES, LEAST_VARIANCE = 300, 1e-8
 
@@ -195,10 +195,11 @@ def smooth_patterns(loads: Array, flexion: Array, is_measured: BoolArray) -> Arr
 
 
 def process_errors(loads: Array, flexion: Array, is_measured: BoolArray, sd: Array) -> Array:
-    """Independent errors of a smooth Gaussian process in each coordinate, not whitened, ``(m, k)``.
+    """Independent errors of smooth Gaussian processes, not whitened, shape ``(m, k)``.
 
-    Its covariance is ``columns @ columns.T``: squared-exponential, as large as the noise of each
-    value, with lengths of twice the range of flexion and of the largest load of each kind.
+    Each kind of load has a process in each coordinate, which adds to the trials that have such a
+    load. Its covariance, ``columns @ columns.T``, is squared-exponential, as large as the noise of
+    each value, with lengths of twice the range of flexion and of half the largest load.
 
     Parameters
     ----------
@@ -211,20 +212,20 @@ def process_errors(loads: Array, flexion: Array, is_measured: BoolArray, sd: Arr
     sd
         Noise of each of those, shape ``(m,)``.
     """
-    largest, reach = np.abs(loads).max(axis=0), max(float(np.ptp(flexion)), 1.0)
-    whole = np.c_[
-        flexion / reach / FLEXION_LENGTH,
-        loads / np.where(largest > 0.0, largest, 1.0) / LOAD_LENGTH,
-    ]
-    # The process is so smooth that its values at some places determine it everywhere.
-    places = np.unique(whole, axis=0)
-    places = places[np.random.default_rng(0).permutation(len(places))[:MOST_PLACES]]
-    values, vectors = np.linalg.eigh(_smooth_covariance(places, places))
-    is_kept = values > LEAST_VARIANCE * values[-1]
-    trials = _smooth_covariance(whole, places) @ vectors[:, is_kept] / np.sqrt(values[is_kept])
+    along = flexion / max(float(np.ptp(flexion)), 1.0) / FLEXION_LENGTH
+    trials = [np.zeros((len(loads), 0))]
+    for load in loads.T[np.any(loads != 0, axis=0)]:
+        whole = np.c_[along, load / np.abs(load).max() / LOAD_LENGTH]
+        # The process is so smooth that its values at some places determine it everywhere.
+        places = np.unique(whole[load != 0], axis=0)
+        places = places[np.random.default_rng(0).permutation(len(places))[:MOST_PLACES]]
+        values, vectors = np.linalg.eigh(_smooth_covariance(places, places))
+        is_kept = values > LEAST_VARIANCE * values[-1]
+        process = _smooth_covariance(whole, places) @ vectors[:, is_kept] / np.sqrt(values[is_kept])
+        trials.append(np.where(load[:, None] != 0, process, 0.0))
     trial, coordinate = np.nonzero(is_measured)
     own = coordinate[:, None] == np.unique(coordinate)
-    columns = np.einsum("m,mk,mj->mjk", sd, trials[trial], own)
+    columns = np.einsum("m,mk,mj->mjk", sd, np.hstack(trials)[trial], own)
     return np.asarray(columns.reshape(len(trial), -1))
 
 
@@ -235,18 +236,18 @@ def _smooth_covariance(at: Array, others: Array) -> Array:
 def process_check(
     residuals: Array, projector: Projector, errors: Array, *, noise_degrees: float = np.inf
 ) -> ResidualTest:
-    """Whether the residuals hold more of a Gaussian process than noise does.
+    """Whether the residuals hold more of Gaussian processes than noise does.
 
-    The score test of its variance: the sum of squares of the residuals along its errors. It finds a
-    little smooth misfit that a test of all patterns alike does not: the smoothest count most. Its
-    probability is 1 where the fitted parameters explain the process.
+    The score test of their variance: the sum of squares of the residuals along their errors. It
+    finds a little smooth misfit that a test of all patterns alike does not: the smoothest count
+    most. Its probability is 1 where the fitted parameters explain the processes.
 
     Parameters
     ----------
     residuals, projector, noise_degrees
         As in `nested_check`.
     errors
-        Independent errors of the process, whitened, shape ``(m, k)``.
+        Independent errors of the processes, whitened, shape ``(m, k)``.
 
     References
     ----------
@@ -254,7 +255,7 @@ def process_check(
     problems, Ann. Math. Stat. 25 (1954) 290-302, doi:10.1214/aoms/1177728786, theorem 3.1.
     """
     left = projector.project(errors)
-    weights = np.linalg.svd(left, compute_uv=False) ** 2
+    weights = np.linalg.eigvalsh(left.T @ left)
     if not weights.sum() > LEAST_LEFT**2 * float(np.sum(errors**2)):
         return ResidualTest(statistic=0.0, degrees_of_freedom=0, p_value=1.0)
     mean, squares = float(weights.sum()), float(np.sum(weights**2))

@@ -448,7 +448,7 @@ DIAGNOSIS = (
         "own = coordinate[:, None] == np.unique(coordinate)",
         "own = np.ones((len(coordinate), 1), bool)",
         "a smooth process is the same in all coordinates",
-        "tests/unit/diagnosis/test_goodness.py::test_errors_of_a_smooth_process_have_its_covariance",
+        "tests/unit/diagnosis/test_goodness.py::test_errors_of_smooth_processes_have_their_covariance",
     ),
     fault(
         "identknee/diagnosis/verdict.py",

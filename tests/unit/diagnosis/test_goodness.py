@@ -99,29 +99,37 @@ def test_patterns_cover_smooth_misfit_of_any_load_and_no_missing_rows() -> None:
     )
 
 
-def test_errors_of_a_smooth_process_have_its_covariance() -> None:
-    """Against the definition, value by value; a coordinate that was not measured has none."""
+def covariance_of_processes(loads: Array, flexion: Array) -> Array:
+    """By the definition, trial by trial."""
+    whole = np.zeros((len(loads), len(loads)))
+    along = flexion / np.ptp(flexion) / 2.0
+    for load in loads.T[np.any(loads != 0, axis=0)]:
+        scaled = np.c_[along, load / np.abs(load).max() / 0.5]
+        apart = ((scaled[:, None] - scaled) ** 2).sum(axis=2)
+        whole += np.exp(-0.5 * apart) * np.outer(load != 0, load != 0)
+    return whole
+
+
+def test_errors_of_smooth_processes_have_their_covariance() -> None:
+    """A coordinate that was not measured has none, nor has a trial without load."""
     sd = np.random.default_rng(11).uniform(0.2, 0.5, 63 * 2)
     measured = np.zeros((63, 5), bool)
     measured[:, [1, 4]] = True
     errors = process_errors(LOADS, FLEXION, measured, sd)
     trial, coordinate = np.nonzero(measured)
-    scaled = np.c_[FLEXION / np.ptp(FLEXION) / 2.0, LOADS / np.abs(LOADS).max(axis=0)][trial]
-    apart = ((scaled[:, None] - scaled) ** 2).sum(axis=2)
-    expected = np.outer(sd, sd) * np.exp(-0.5 * apart)
-    expected *= coordinate[:, None] == coordinate
+    expected = covariance_of_processes(LOADS, FLEXION)[np.ix_(trial, trial)]
+    expected = expected * np.outer(sd, sd) * (coordinate[:, None] == coordinate)
     assert errors @ errors.T == pytest.approx(expected, abs=1e-6)
+    assert process_errors(0.0 * LOADS, FLEXION, measured, sd).shape == (126, 0)
 
 
-def test_errors_of_a_process_at_many_places_are_those_at_few() -> None:
-    """Twenty times as many loads, each a little different, add no error of the process."""
+def test_errors_of_processes_at_many_places_are_those_at_few() -> None:
+    """Twenty times as many loads, each a little different, add no error of a process."""
     generator = np.random.default_rng(12)
     flexion, loads = np.repeat(FLEXION, 20), np.repeat(LOADS, 20, axis=0)
     loads = loads * generator.uniform(0.5, 1.0, loads.shape)
     errors = process_errors(loads, flexion, np.ones((len(loads), 1), bool), np.ones(len(loads)))
-    scaled = np.c_[flexion / np.ptp(flexion) / 2.0, loads / np.abs(loads).max(axis=0)]
-    apart = ((scaled[:, None] - scaled) ** 2).sum(axis=2)
-    assert errors @ errors.T == pytest.approx(np.exp(-0.5 * apart), abs=1e-3)
+    assert errors @ errors.T == pytest.approx(covariance_of_processes(loads, flexion), abs=1e-3)
     assert errors.shape[1] < 100
 
 
