@@ -57,6 +57,7 @@ from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
+from identknee.model.missing_wrench import wrench_response
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.arrays import Array, BoolArray
@@ -691,19 +692,25 @@ class Refit:
         return cauchy_combination([whole.p_value, smooth.p_value])
 
     @property
-    def smooth_misfit_p_value(self) -> float:
-        """Probability of so much smooth misfit under noise; 1 where parameters can fit it all."""
+    def pattern_p_value(self) -> float:
+        """Probability under noise of what a cause that is not listed leaves behind another."""
         fitted, protocol = self.fitted, self.fitted.laxity.protocol
+        rows, projector = fitted.misfit_rows, fitted.misfit_projector
+        # Smooth in flexion and in each kind of load.
         errors = process_errors(
             protocol.loads, protocol.flexion_deg, fitted.laxity.is_measured, fitted.noise.sd
         )
-        projector = fitted.misfit_projector
-        return process_check(
-            fitted.misfit_rows,
-            projector,
-            projector.padded(fitted.noise.whiten(errors)),
-            noise_degrees=self.noise_degrees,
-        ).p_value
+        whitened = projector.padded(fitted.noise.whiten(errors))
+        checks = [process_check(rows, projector, whitened, noise_degrees=self.noise_degrees)]
+        # A wrench that acts in every trial, linear in flexion.
+        model = fitted.model
+        wrench = wrench_response(model, model.predict_once(fitted.theta))
+        flexion = protocol.flexion_deg - protocol.flexion_deg.mean()
+        changes = np.concatenate([wrench, flexion[:, None, None] * wrench], axis=2)
+        wider = projector.with_columns(projector.padded(fitted.columns(changes)))
+        if wider.rank > projector.rank:
+            checks.append(nested_check(rows, projector, wider, noise_degrees=self.noise_degrees))
+        return cauchy_combination([x.p_value for x in checks])
 
     def alarm_p_value(self, library_p_value: float, noise_factor: float = 1.0) -> float:
         """Probability of a misfit as clear under noise: library, size and shape together.

@@ -461,8 +461,7 @@ def _share(variant: Variant, values: Array, share: float) -> Array:
 
 # A model whose misfit is less probable than FITS is doubted, than HARDLY_FITS rejected.
 FITS, HARDLY_FITS = 0.01, 0.001
-# Insertions less probable than this may be those of another structure, and smooth misfit less
-# probable may be left by a cause that no library lists.
+# Insertions less probable than this may be those of another structure.
 FAR_OFF = 0.1
 # Share of the prior variance of a shift: data that remove less do not inform it.
 LEAST_MOVED = 1e-6
@@ -629,12 +628,12 @@ def _reservations(attribution: Attribution, fits: float) -> list[tuple[str, str]
     if fits <= FITS:
         reason = f"The remaining misfit is rather improbable ({_p_words(fits)})."
         doubts.append(("its residuals exceed the noise", reason))
-    if (smooth := best.smooth_misfit_p_value) <= FAR_OFF:
+    if (pattern := best.pattern_p_value) <= LEVEL:
         reason = (
-            f"What it leaves is rather smooth in flexion and load ({_p_words(smooth)}): the cause "
-            "may be one that the library does not list."
+            "What it leaves is smooth in flexion and load, or a wrench in every trial "
+            f"({_p_words(pattern)}): the cause may be one that the library does not list."
         )
-        doubts.append(("what it leaves is smooth", reason))
+        doubts.append(("what it leaves has a pattern", reason))
     if attribution.has_remaining_misfit:
         further = cause_label(attribution.steps[-1].scores.candidates[0].name)
         reason = f"Significant misfit remains: the {further} scores high but does not fit."

@@ -77,18 +77,32 @@ def missing_wrench(
     """
     model, laxity = problem.model, problem.laxity
     prediction = model.predict_once(theta)
-    if prediction.hessians is None:
-        raise ValueError('a missing wrench needs a model with contact="field"')
-    seen = observed_slopes(model, prediction)
+    stiffness = np.asarray(np.linalg.inv(wrench_response(model, prediction)))
     is_whole = np.asarray(laxity.is_measured.all(axis=1) & prediction.is_converged)
-    shape = is_whole[:, None, None]
-    hessians = np.where(shape, prediction.hessians, np.eye(5))
-    stiffness = hessians @ np.linalg.inv(seen @ coordinate_jacobian(prediction.poses))
     wrench = np.einsum("nij,nj->ni", stiffness, problem.differences(theta))
     compartment = model.joint.contact.compartment
     kept = [outside_contact(compartment, x) for x in trial_contacts(model, prediction)]
     made = _MadeOf(stiffness=stiffness, outside=np.stack(kept), sd=sd, correlation=correlation)
     return made.missing(is_whole, wrench, prediction.poses)
+
+
+def wrench_response(model: LaxityModel, prediction: Prediction) -> Array:
+    """Change of the coordinates of each trial with a wrench that acts besides, ``(n, 5, 5)``.
+
+    The generalised forces are those of `MissingWrench`. Of trials that did not converge it is what
+    a knee of stiffness 1 in every direction would do.
+
+    Raises
+    ------
+    ValueError
+        If the contact is that of meshes.
+    """
+    if prediction.hessians is None:
+        raise ValueError('a missing wrench needs a model with contact="field"')
+    shape = prediction.is_converged[:, None, None]
+    hessians = np.where(shape, prediction.hessians, np.eye(5))
+    slopes = observed_slopes(model, prediction) @ coordinate_jacobian(prediction.poses)
+    return np.asarray(slopes @ np.linalg.inv(hessians))
 
 
 def wrench_at_measured_poses(

@@ -453,9 +453,9 @@ DIAGNOSIS = (
     fault(
         "identknee/diagnosis/verdict.py",
         "_reservations",
-        "(smooth := best.smooth_misfit_p_value) <= FAR_OFF",
-        "(smooth := best.smooth_misfit_p_value) <= 0.0",
-        "a cause that leaves smooth misfit is named",
+        "(pattern := best.pattern_p_value) <= LEVEL",
+        "(pattern := best.pattern_p_value) <= 0.0",
+        "a cause that leaves a pattern is named",
         "tests/unit/diagnosis/test_naming_rules.py",
     ),
     fault(

@@ -103,7 +103,7 @@ def _nulls() -> list[Made]:
 
 def _unlisted_cases() -> list[tuple[str, float, int]]:
     cases = enumerate(product(range(10), (12.0, 20.0), UNLISTED))
-    return [(x, signal, 175_000 + i) for i, (_, signal, x) in cases]
+    return [(x, signal, 176_000 + i) for i, (_, signal, x) in cases]
 
 
 def _unlisted() -> list[Made]:

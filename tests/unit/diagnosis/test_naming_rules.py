@@ -32,7 +32,7 @@ class Explanation:
 
     names: tuple[str, ...] = ()
     misfit_p_value: float = 0.5
-    smooth_misfit_p_value: float = 0.5
+    pattern_p_value: float = 0.5
     noise_degrees: float = 60.0
     log_evidence: float = 0.0
     misfit_chi2: float = 100.0
@@ -169,14 +169,14 @@ def test_open_rivals_leave_it_ambiguous() -> None:
 
 @pytest.mark.parametrize(("best", "rest", "doubt"), [
     (replace(ONE, misfit_p_value=0.009), "", "its residuals exceed the noise"),
-    (replace(ONE, smooth_misfit_p_value=0.099), "", "what it leaves is smooth"),
+    (replace(ONE, pattern_p_value=0.049), "", "what it leaves has a pattern"),
     (ONE, "third", "significant misfit remains"),
 ])  # fmt: skip
 def test_a_doubt_leaves_it_ambiguous(best: Explanation, rest: str, doubt: str) -> None:
     found = concluded(best, rest=rest)
     assert (found.verdict, found.group) == (Verdict.AMBIGUOUS, ("cause",))
     assert found.sentence.endswith(f"with a doubt: {doubt}.")
-    clear = replace(best, misfit_p_value=0.011, smooth_misfit_p_value=0.101)
+    clear = replace(best, misfit_p_value=0.011, pattern_p_value=0.051)
     assert concluded(clear).verdict is Verdict.NAMED
 
 
