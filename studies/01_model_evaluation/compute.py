@@ -138,7 +138,7 @@ def ramp_protocol(flexion: float, load: str, steps: np.ndarray) -> ik.Protocol:
     loads[:, ik.laxity.LOADS.index(load)] = steps
     return ik.Protocol(
         name="ramp",
-        trials=tuple(ik.laxity.trial_name(flexion, row) for row in loads),
+        trials=tuple(ik.laxity.trial_name(flexion, row.tolist()) for row in loads),
         flexion_deg=np.full(len(steps), flexion),
         loads=loads,
     )

@@ -90,7 +90,8 @@ def main() -> None:
     ):
         for name in KNEES:
             records.say(f"{name}: profile")
-            record["knees"][name] = part = {"profile": profile(name)}
+            part: Row = {"profile": profile(name)}
+            record["knees"][name] = part
             for method in METHODS:
                 tasks = fit_tasks(name, method, options.seeds, options.budget)
                 part[method] = finished(tasks, store, executor, inputs[name])
@@ -263,7 +264,7 @@ def branch_counts(knee_name: str, thetas: ik.runs.Array, executor: ik.runs.Execu
 KINDS = ("same", "other_branch", "single_step_failed", "canonical_failed", "both_failed")
 
 
-def branch_kinds(task: tuple[str, ik.runs.Array]) -> ik.runs.Array:
+def branch_kinds(task: tuple[str, ik.runs.Array]) -> np.ndarray:
     """Index into `KINDS` of each trial at each theta, shape ``(n_thetas, n_trials)``."""
     canonical = setting(task[0]).problem.model
     single = replace(canonical, continuation="single-step")

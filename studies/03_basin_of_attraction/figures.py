@@ -172,10 +172,9 @@ def figure_5(record: Row) -> Figure:
             axes.set_xlabel("stiffness [kN]" if place == len(grid) - 1 else "")
         grid[place, 0].set_ylabel(f"{knee}\nreference strain [%]", fontsize=9)
     figure.colorbar(drawn, ax=grid, shrink=0.8).set_label("log10 of the objective")
-    truth_mark = {"linestyle": "", "marker": "+", "color": BLACK, "markersize": 11}
     handles: list[Artist] = [
         Patch(color=LOST, label="a trial has no equilibrium"),
-        Line2D([], [], label="truth", **truth_mark),
+        Line2D([], [], label="truth", linestyle="", marker="+", color=BLACK, markersize=11),
     ]
     legend_below(figure, handles, [str(x.get_label()) for x in handles])
     return figure

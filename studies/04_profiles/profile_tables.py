@@ -152,7 +152,7 @@ def _stiffness_share(part: Row, ligament: str) -> float | None:
             low, high = row["intervals"][0]
             if low is None or high is None:
                 return None
-            return 100 * 0.5 * (high - low) / row["optimum_value"]
+            return float(100 * 0.5 * (high - low) / row["optimum_value"])
     return None
 
 

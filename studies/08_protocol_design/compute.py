@@ -47,7 +47,7 @@ def main() -> None:
             for made in MADE[:1] if options.quick else MADE:
                 case, label = (name, made), f"{name} {made}"
                 found = kept(advice, [(case, x) for x in criteria], f"{label} criteria")
-                part = {"advice": dict(zip(criteria, found, strict=True))}
+                part: Row = {"advice": dict(zip(criteria, found, strict=True))}
                 best = part["advice"]["width"]
                 n_random = 1 if options.quick else N_RANDOM
                 sets = [(case, best, seed) for seed in range(n_random)]

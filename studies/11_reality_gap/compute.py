@@ -42,7 +42,8 @@ def main() -> None:
     record["rows"] = [row_facts(x) for x in published.TABLE2]
     for name in KNEES:
         knee = study_knee(name)
-        part = record["knees"][name] = {"as_it_is": as_it_is(knee)}
+        part: Row = {"as_it_is": as_it_is(knee)}
+        record["knees"][name] = part
         if name not in DIAGNOSED:
             # Of 110 ligament parameters 13 values leave nothing to test.
             part["fit"] = fitted(knee, options.seed)

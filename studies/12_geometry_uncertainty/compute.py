@@ -133,7 +133,7 @@ def best_fit(
     evaluator: ik.calibrate.Evaluator, truth: ik.runs.Array, generator: np.random.Generator
 ) -> ik.calibrate.ConstrainedFit:
     """The best of a few fits: from the truth, and from places of the box around it."""
-    found = []
+    found: list[ik.calibrate.ConstrainedFit] = []
     for start in (truth, *ik.checks.box_sample(evaluator.parameters, STARTS, generator)):
         ended = ik.calibrate.minimise(evaluator, start)
         if ended.evaluation.is_finite or not found:

@@ -14,7 +14,7 @@ from page_tables import (
     OPTIMIZERS,
     PROFILES,
     Found,
-    NotYet,
+    not_yet,
 )
 
 import identknee as ik
@@ -29,12 +29,12 @@ MARKS = {"bound": "\\*", "cliff": "†", "budget": "‡"}
 Row = Mapping[str, Any]
 
 
-def beyond(found: Found) -> dict[str, ik.report.Table | NotYet]:
+def beyond(found: Found) -> dict[str, ik.report.Table | str]:
     """All tables of that part by the name of their place in it."""
-    made: dict[str, ik.report.Table | NotYet] = {}
+    made: dict[str, ik.report.Table | str] = {}
     for name, (study, draw) in TABLE_OF.items():
         record = found[study]
-        made[name] = NotYet(study=study) if record is None else draw(record)
+        made[name] = not_yet(study) if record is None else draw(record)
     return made
 
 
@@ -101,8 +101,10 @@ def contact_table(record: Row) -> ik.report.Table:
         before, fitted = part["one_way"]["before"], part["one_way"]["fitted"]
         errors = [sum(fitted[x]) / len(fitted[x]) for x in ("error_kN", "error_pct")]
         body.append((knee, "true parameters", *kinematics(before), "0", "0"))
-        sizes = (f"{errors[0]:.2f} ({max(fitted['error_kN']):.2f})",)
-        sizes += (f"{errors[1]:.2f} ({max(fitted['error_pct']):.2f})",)
+        sizes = (
+            f"{errors[0]:.2f} ({max(fitted['error_kN']):.2f})",
+            f"{errors[1]:.2f} ({max(fitted['error_pct']):.2f})",
+        )
         body.append((knee, f"fitted, {fitted['outcome']}", *kinematics(fitted), *sizes))
     return table(
         "A model with half the contact pressure, fitted to data made with all of it",
@@ -139,7 +141,7 @@ STARTS = {"guesses_complex": "IG1 to IG4", "shells_complex": "shells around the 
 def is_truth(part: Row, basin: Row) -> bool:
     """Whether the minimum of a basin is the truth."""
     theta = [basin["parameters"][name] for name in part["parameters"]]
-    return max(abs(x - y) for x, y in zip(theta, part["truth"], strict=True)) < AT_TRUTH
+    return bool(max(abs(x - y) for x, y in zip(theta, part["truth"], strict=True)) < AT_TRUTH)
 
 
 def limits(radius: list[float | None]) -> str:

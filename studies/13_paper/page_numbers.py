@@ -273,7 +273,7 @@ def largest_of(found: Found, ligament: str) -> list[float]:
 
 def at_truth(end: Row) -> bool:
     """Whether a fit ended at the true parameters."""
-    return max(*end["error_kN"], *end["error_pct"]) < AT_TRUTH
+    return bool(max(*end["error_kN"], *end["error_pct"]) < AT_TRUTH)
 
 
 def low_high(values: Iterable[float], decimals: int) -> str:

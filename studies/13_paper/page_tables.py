@@ -1,7 +1,6 @@
 """The tables of the page: the paper's numbers beside ours, from the records."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -33,32 +32,20 @@ Row = Mapping[str, Any]
 Found = Mapping[str, Row | None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotYet:
-    """Stands where a table will be once a study has its record.
-
-    Attributes
-    ----------
-    study
-        Which one.
-    """
-
-    study: str
-
-    def markdown(self) -> str:
-        """One line that says so."""
-        return (
-            f"*Not computed yet: `python studies/{self.study}/compute.py`, then "
-            "`python studies/13_paper/figures.py`.*"
-        )
+def not_yet(study: str) -> str:
+    """What stands where a table will be once a study has its record."""
+    return (
+        f"*Not computed yet: `python studies/{study}/compute.py`, then "
+        "`python studies/13_paper/figures.py`.*"
+    )
 
 
-def tables(found: Found) -> dict[str, ik.report.Table | NotYet]:
+def tables(found: Found) -> dict[str, ik.report.Table | str]:
     """All tables of the page by the name of their place in it."""
-    made: dict[str, ik.report.Table | NotYet] = {}
+    made: dict[str, ik.report.Table | str] = {}
     for name, (draw, needed) in TABLE_OF.items():
         lacking = [study for study in needed if found[study] is None]
-        made[name] = NotYet(study=lacking[0]) if lacking else draw(found)
+        made[name] = not_yet(lacking[0]) if lacking else draw(found)
     return made
 
 
@@ -110,7 +97,7 @@ def arc_table(found: Found) -> ik.report.Table:
             continue
         both = [index[one], index[other]]
         rows = [published.TABLE2[i] for i in both]
-        mean, sd = sum(x.mean for x in rows), float(np.hypot(*(x.sd for x in rows)))
+        mean, sd = sum(x.mean for x in rows), float(np.hypot(rows[0].sd, rows[1].sd))
         sums = [sum(x.paper_model for x in rows)]
         sums += [responses(found, name)[both].sum() for name in knees(found)]
         body.append(
@@ -287,7 +274,7 @@ def course(found: Found, knee: str, start: str) -> tuple[list[int], ik.runs.Arra
         kinematic = np.array([x["rmse_by_flexion"] for x in rows])[..., chosen].mean(axis=-2)
         own = np.array([[average(x["error_kN"]), average(x["error_pct"])] for x in rows])
         errors = np.concatenate([np.moveaxis(own, 1, -1), kinematic], axis=-1)
-        return np.median(errors, axis=0)
+        return np.asarray(np.median(errors, axis=0))
 
     number = int(np.median([x["n_simulations"] for x in ends]))
     on_the_way, at_the_end = medians(runs, np.array), medians(ends, np.mean)
