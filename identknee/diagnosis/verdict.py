@@ -30,6 +30,7 @@ from identknee.identify.laplace import Interval, Laplace
 from identknee.model.effects.effect import PLAIN, Effect, unit_of
 from identknee.model.effects.facts import cause_label, facts_of
 from identknee.model.effects.insertion import direction_words
+from identknee.model.effects.loads import LoadError
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry
@@ -634,11 +635,21 @@ def _reservations(attribution: Attribution, fits: float) -> list[tuple[str, str]
             f"({_p_words(pattern)}): the cause may be one that the library does not list."
         )
         doubts.append(("what it leaves has a pattern", reason))
+    if len(best.causes) > 1 and all(map(_is_constant_load, best.causes)):
+        reason = (
+            "Both are loads that act in every trial: together they may stand in for another such "
+            "load that the library does not list."
+        )
+        doubts.append(("two constant loads may stand in for another", reason))
     if attribution.has_remaining_misfit:
         further = cause_label(attribution.steps[-1].scores.candidates[0].name)
         reason = f"Significant misfit remains: the {further} scores high but does not fit."
         doubts.append(("significant misfit remains", reason))
     return doubts
+
+
+def _is_constant_load(effect: Effect) -> bool:
+    return isinstance(effect, LoadError) and effect.is_on_unloaded_knee
 
 
 def site_p_value(refit: Refit, structure: Structure) -> float:

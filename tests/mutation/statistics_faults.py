@@ -452,6 +452,14 @@ DIAGNOSIS = (
     ),
     fault(
         "identknee/diagnosis/verdict.py",
+        "_is_constant_load",
+        "isinstance(effect, LoadError) and effect.is_on_unloaded_knee",
+        "isinstance(effect, LoadError)",
+        "any two errors of loads are doubted",
+        "tests/unit/diagnosis/test_naming_rules.py",
+    ),
+    fault(
+        "identknee/diagnosis/verdict.py",
         "_reservations",
         "(pattern := best.pattern_p_value) <= LEVEL",
         "(pattern := best.pattern_p_value) <= 0.0",

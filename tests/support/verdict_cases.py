@@ -94,10 +94,11 @@ def _torn(own: Knee, generator: np.random.Generator) -> tuple[Laxity, str, str, 
     return laxity, own.ligaments[which].name, kind, moved
 
 
-def distance_from_listed(subject: str, case: BlindCase) -> tuple[float, str]:
+def distance_from_listed(subject: str, case: BlindCase, without: str = "") -> tuple[float, str]:
     """How far the data of a case are from the nearest listed effect, in units of noise, and which.
 
-    Without errors, ligaments free, effects straight around the fit without them.
+    Without errors, ligaments free, effects straight around the fit without them; `without` is an
+    effect that is left out.
     """
     own, exact = knee(subject), case.noise_free
     exact = replace(
@@ -114,7 +115,7 @@ def distance_from_listed(subject: str, case: BlindCase) -> tuple[float, str]:
     left = fitted.projector.project(fitted.residual_rows())
     nearest = (float(left @ left), "none")
     listed = library(own, has_order=exact.order is not None, has_phase=exact.phase is not None)
-    for variant in library_variants(fitted, listed):
+    for variant in library_variants(fitted, [x for x in listed if x.name != without]):
         signature = project_signature(fitted.projector, variant.signature)
         gain = float(signature.gain((left @ signature.projected)[None])[0])
         nearest = min(nearest, (float(left @ left) - gain, variant.effect.name))

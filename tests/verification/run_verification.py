@@ -34,6 +34,7 @@ MODULES = {
     "figures": "verify_figures",
     "blind": "verify_blind",
     "blind_axes": "verify_blind_axes",
+    "blind_structures": "verify_blind_structures",
     "torn": "verify_verdicts",
     "constant_causes": "verify_verdicts",
     "two_causes": "verify_verdicts",

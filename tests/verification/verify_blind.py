@@ -221,7 +221,7 @@ def _detected(outcomes: Outcomes) -> list[Measure]:
     ]
 
 
-def _not_separable(subject: str) -> set[str]:
+def not_separable(subject: str) -> set[str]:
     """What the 63 trials cannot tell from something else, as is known before there are data.
 
     Errors of the insertions are in no group, since they imitate a little of everything.
@@ -237,9 +237,9 @@ def _named(by_subject: Mapping[str, Outcomes], hidden: Outcomes) -> list[Measure
     alone: Outcomes = []
     others: Outcomes = []
     for subject, outcomes in by_subject.items():
-        not_separable = _not_separable(subject)
+        apart = not_separable(subject)
         for x in [*_at(outcomes, 10.0), *_at(outcomes, 20.0)]:
-            (others if not_separable & set(x["effects"]) else alone).append(x)
+            (others if apart & set(x["effects"]) else alone).append(x)
     ambiguous = [x for x in others if x["verdict"] in ("NAMED", "AMBIGUOUS")]
     sizes = [len(x["group"]) for x in ambiguous]
     size = Measure(

@@ -33,6 +33,12 @@ class LoadError:
         """The inputs with the loads that acted."""
         return replace(setting, loads=self.acted(setting.loads, setting.flexion, values))
 
+    @property
+    def is_on_unloaded_knee(self) -> bool:
+        """Whether a load acts where none is stated, as the weight of the shank does."""
+        p = self.parameters
+        return bool(self.acted(np.zeros((1, 5)), np.zeros(1), p.center + p.prior_sd).any())
+
 
 def compression() -> LoadError:
     """A constant axial force on the joint: muscle tone, or the weight that seats the knee [N]."""

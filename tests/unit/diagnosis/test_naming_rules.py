@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typing_extensions import override
 
 from identknee.diagnosis import verdict as naming
 from identknee.diagnosis.fitting import Rival, RivalState, could_matter
@@ -20,6 +21,13 @@ from identknee.diagnosis.verdict import (
     _high_scoring,
     attribute,
     conclude,
+)
+from identknee.model.effects.loads import (
+    axis_misalignment,
+    compression,
+    moment_gain,
+    moment_offset,
+    shank_gravity,
 )
 from identknee.runs.record import Outcome
 
@@ -58,6 +66,18 @@ class Explanation:
 
     def alarm_p_value(self, _score: float, factor: float = 1.0) -> float:
         return self.alarms.get(factor, ALARM)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loads(Explanation):
+    """One whose causes are effects of the library."""
+
+    made: tuple[Any, ...] = ()
+
+    @property
+    @override
+    def causes(self) -> tuple[Any, ...]:
+        return self.made
 
 
 def scored(name: str, score: float, p_value: float = 0.001) -> Any:
@@ -178,6 +198,18 @@ def test_a_doubt_leaves_it_ambiguous(best: Explanation, rest: str, doubt: str) -
     assert found.sentence.endswith(f"with a doubt: {doubt}.")
     clear = replace(best, misfit_p_value=0.011, pattern_p_value=0.051)
     assert concluded(clear).verdict is Verdict.NAMED
+
+
+@pytest.mark.parametrize(("first", "second", "is_doubted"), [
+    (shank_gravity(), moment_offset(), True),
+    (compression(), moment_offset(), True),
+    (moment_gain("IE"), moment_offset(), False),  # no moment, no error
+    (shank_gravity(), axis_misalignment(), False),
+])  # fmt: skip
+def test_two_loads_in_every_trial_are_doubted(first: Any, second: Any, is_doubted: bool) -> None:
+    best = Loads(names=(first.name, second.name), made=(first, second))
+    assert concluded(best).verdict is (Verdict.AMBIGUOUS if is_doubted else Verdict.NAMED)
+    assert concluded(Loads(names=(first.name,), made=(first,))).verdict is Verdict.NAMED
 
 
 @pytest.mark.parametrize("best", [
