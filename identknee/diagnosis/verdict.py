@@ -462,8 +462,7 @@ def _share(variant: Variant, values: Array, share: float) -> Array:
 
 # A model whose misfit is less probable than FITS is doubted, than HARDLY_FITS rejected.
 FITS, HARDLY_FITS = 0.01, 0.001
-# Insertions less probable than this may be those of another structure, and a pattern less probable
-# may be left by a cause that no library lists.
+# Insertions less probable than this may be those of another structure.
 FAR_OFF = 0.1
 # Share of the prior variance of a shift: data that remove less do not inform it.
 LEAST_MOVED = 1e-6
@@ -630,7 +629,7 @@ def _reservations(attribution: Attribution, fits: float) -> list[tuple[str, str]
     if fits <= FITS:
         reason = f"The remaining misfit is rather improbable ({_p_words(fits)})."
         doubts.append(("its residuals exceed the noise", reason))
-    if (pattern := best.pattern_p_value) <= FAR_OFF:
+    if (pattern := best.pattern_p_value) <= LEVEL:
         reason = (
             "What it leaves is smooth in flexion and load, or a wrench in every trial "
             f"({_p_words(pattern)}): the cause may be one that the library does not list."

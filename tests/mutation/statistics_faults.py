@@ -461,7 +461,7 @@ DIAGNOSIS = (
     fault(
         "identknee/diagnosis/verdict.py",
         "_reservations",
-        "(pattern := best.pattern_p_value) <= FAR_OFF",
+        "(pattern := best.pattern_p_value) <= LEVEL",
         "(pattern := best.pattern_p_value) <= 0.0",
         "a cause that leaves a pattern is named",
         "tests/unit/diagnosis/test_naming_rules.py",

@@ -189,14 +189,14 @@ def test_open_rivals_leave_it_ambiguous() -> None:
 
 @pytest.mark.parametrize(("best", "rest", "doubt"), [
     (replace(ONE, misfit_p_value=0.009), "", "its residuals exceed the noise"),
-    (replace(ONE, pattern_p_value=0.099), "", "what it leaves has a pattern"),
+    (replace(ONE, pattern_p_value=0.049), "", "what it leaves has a pattern"),
     (ONE, "third", "significant misfit remains"),
 ])  # fmt: skip
 def test_a_doubt_leaves_it_ambiguous(best: Explanation, rest: str, doubt: str) -> None:
     found = concluded(best, rest=rest)
     assert (found.verdict, found.group) == (Verdict.AMBIGUOUS, ("cause",))
     assert found.sentence.endswith(f"with a doubt: {doubt}.")
-    clear = replace(best, misfit_p_value=0.011, pattern_p_value=0.101)
+    clear = replace(best, misfit_p_value=0.011, pattern_p_value=0.051)
     assert concluded(clear).verdict is Verdict.NAMED
 
 
