@@ -33,7 +33,8 @@ from identknee.subject.plausibility import CONTACT, TENSION, Limit
 # there are: 0.3 N of 24 trials. A trial given twice raises it by 0.07 N.
 SOFTNESS = {"N": 0.1, "%": 0.005}
 VARUS = LOADS.index("varus_moment_Nm")
-NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?")
+UNITS_OF_LOADS = {"moment": ("Nm", "N·m"), "force": ("N",)}
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 # A ligament eight standard deviations from its strength has a smaller residual, and no slope.
 NEGLIGIBLE = 1e-8
@@ -343,6 +344,9 @@ def _standard_load(words: str) -> tuple[float, Array]:
             flexion = None
             break
         axis, sign = signs[named[0]]
+        if not {*part[size.end() :].split()[:1]} & {*UNITS_OF_LOADS[WAYS[axis][2]]}:
+            flexion = None
+            break
         loads[axis] = sign * float(size.group())
     if not comma or flexion is None or not angle.strip().endswith("deg"):
         raise ValueRefused(

@@ -168,8 +168,23 @@ def test_limits_are_a_term_of_the_evidence_and_no_misfit() -> None:
         with_other_terms(replace(residuals, weighting="unit"))
 
 
+def test_signs_of_a_standard_load_are_read() -> None:
+    made = standard_loads(["-10 N·m varus, -5 deg", "10 Nm valgus, 5 deg"])
+    assert made.flexion_deg.tolist() == [-5.0, 5.0]
+    assert made.loads.tolist() == 2 * [[0.0, -10.0, 0.0, 0.0, 0.0]]
+
+
 @pytest.mark.parametrize(
-    "words", ["anterior, 30 deg", "134 N anterior", "134 N forwards, 30 deg", "134 N anterior, 30"]
+    "words",
+    [
+        "anterior, 30 deg",
+        "134 N anterior",
+        "134 N forwards, 30 deg",
+        "134 N anterior, 30",
+        "134 kN anterior, 30 deg",
+        "10 N varus, 30 deg",
+        "anterior 134, 30 deg",
+    ],
 )
 def test_a_standard_load_that_cannot_be_read_is_refused(words: str) -> None:
     with pytest.raises(ValueRefused):
