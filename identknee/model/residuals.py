@@ -26,9 +26,11 @@ from identknee.runs.declare import array, declared, entry
 from identknee.runs.marginalise import whitening
 from identknee.subject.knee import Uncertainty
 
-# Size of what an equilibrium may differ by from where it is looked for [mm, deg].
+# How far the springs that may hold a knee have let go, the softest first.
 LEVELS = np.unique(np.r_[HOLDS, BEGINNINGS])[::-1]
+# What each stiffer spring adds to the lack of a trial, so that a search prefers softer springs.
 STEP = 0.005
+# Largest distance of an equilibrium from the pose near which it is searched for [mm, deg].
 FARTHEST = np.array([NEAR] * 3 + [np.degrees(NEAR / ROTATION_SCALE)] * 2)
 
 
@@ -41,10 +43,10 @@ class HeldTrials:
     model
         The model of the trials.
     laxity
-        Their measured poses. What was not measured is that of the trial nearest in flexion, or of
-        the scanned pose.
+        The measured poses. A coordinate that was not measured is taken from the trial nearest in
+        flexion, or from the scanned pose.
     held_model
-        The model, each trial held near its measured pose where it has no equilibrium.
+        The model in which a trial without equilibrium is held near its measured pose.
     """
 
     model: LaxityModel
@@ -59,7 +61,7 @@ class HeldTrials:
         object.__setattr__(self, "held_model", held)
 
     def predict(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Poses of the trials, each held as far as it takes, and how much is lacking.
+        """Poses of the trials, each held by the softest spring that suffices, and their lack.
 
         Parameters
         ----------
@@ -69,16 +71,16 @@ class HeldTrials:
         Returns
         -------
         coordinates, jacobian
-            Of the held pose [mm, deg], shape ``(n, 5)``, and its derivatives by theta,
-            ``(n, 5, p)``.
+            Coordinates of the held poses [mm, deg], shape ``(n, 5)``, and their derivatives by
+            theta, ``(n, 5, p)``.
         lack
-            1 where the softest spring holds the knee, one more for each stiffer one that it takes,
-            shape ``(n,)``.
+            How far each trial is from an equilibrium: 1 where the softest spring holds the knee,
+            and `STEP` more for each stiffer spring that it takes, shape ``(n,)``.
         """
         found = self.held_model.predict_once(theta)
         is_held = found.released > 0.0
         stiffer = np.searchsorted(-LEVELS, -found.released)
-        # Nothing holds it: it is as if it stood where it is held, whatever the parameters are.
+        # Where no spring holds the knee, the measured pose stands in, independent of theta.
         coordinates = np.where(is_held[:, None], found.held_coordinates, self.laxity.coordinates)
         if found.held_jacobian is None:  # pragma: no cover - it was asked for
             raise AssertionError
@@ -98,16 +100,20 @@ class LaxityResiduals:
     model
         The model; its protocol is replaced by that of the data.
     laxity
-        The data. Coordinates not measured are left out.
+        The data. Coordinates that were not measured have no residuals.
     weighting
         ``"unit"`` for plain differences in mm and deg (equation 6 of the paper), ``"noise"`` for
         differences divided by the stated errors, with the correlation that the errors of a trial
         share taken out.
     shared
-        What further errors of one standard deviation change in the coordinates, shape
-        ``(n, 5, k)``: they are marginalised, as errors that many values share. None for none.
+        Changes of the coordinates by errors that many values share, each error of one standard
+        deviation, shape ``(n, 5, k)``. They are marginalised. None if there are none.
     offset
-        What is added to predicted coordinates [mm, deg], shape ``(n, 5)``; nothing if None.
+        Added to the predicted coordinates [mm, deg], shape ``(n, 5)``; None adds nothing.
+    held
+        The same trials held near their measured poses, which stand in for trials without
+        equilibrium; each trial then has one more residual. If None, all residuals are infinite
+        where a trial has no equilibrium.
 
     Raises
     ------
@@ -152,9 +158,10 @@ class LaxityResiduals:
     def residuals(self, theta: Array) -> Array:
         """Predicted less measured coordinates, weighted, shape ``(m,)``.
 
-        All are infinite where a trial with data has no equilibrium at theta.
+        All are infinite where a trial with data has no equilibrium at theta and `held` is None.
+        Otherwise ``n`` residuals follow that grow with the lack of each trial.
         """
-        # Its derivatives cost next to nothing here, and the Jacobian is mostly wanted here too.
+        # With smooth contact the derivatives are cheap, and a fit mostly asks for them next.
         is_smooth = self.model.contact == "field"
         prediction = (
             self.model.predict_once(theta)
@@ -195,7 +202,7 @@ class LaxityResiduals:
 
     @property
     def _far(self) -> Array:
-        """Size of a trial's residuals at the farthest that an equilibrium may be, ``(n,)``."""
+        """Norm of each trial's residuals for an equilibrium at the farthest place, ``(n,)``."""
         far = np.where(self.laxity.is_measured, FARTHEST, 0.0)
         if self.weighting == "noise":
             far = np.einsum("nij,nj->ni", self._whitening, far)
@@ -206,22 +213,20 @@ class LaxityResiduals:
         return self._difference(self.model.predict_once(theta).coordinates)
 
     def rows(self, values: Array) -> Array:
-        """The rows of changes of the coordinates (n, 5, ...) that belong to residuals.
-
-        Shape ``(m, ...)``, weighted as the residuals are.
-        """
+        """Changes of the residuals for changes of the coordinates (n, 5, ...), ``(m, ...)``."""
         return self.weighted(self.as_measured(values))
 
     def log_density(self, coordinates: Array) -> Array:
         """Log density of each measured value where the model predicts `coordinates`, ``(m,)``.
 
-        Errors are normal; a value is taken given those before it in its trial, with which it may
-        be correlated, so that the sum is that of the whole table.
+        Errors are normal. The density of a value is conditional on the values before it in its
+        trial, with which it may be correlated, so that all add up to the density of the table.
 
         Parameters
         ----------
         coordinates
-            As predicted [mm, deg], shape ``(n, 5)``; the density is zero where they are NaN.
+            Predicted coordinates [mm, deg], shape ``(n, 5)``. Where one is NaN, the density is
+            zero.
         """
         measured = self.laxity.is_measured
         with np.errstate(invalid="ignore"):
@@ -231,7 +236,7 @@ class LaxityResiduals:
         return np.where(np.isnan(density), -np.inf, density)
 
     def as_measured(self, values: Array) -> Array:
-        """Predicted coordinates, or changes of them ``(n, 5, ...)``, from the zero of the data."""
+        """Predicted coordinates, or their changes ``(n, 5, ...)``, counted from the data's zero."""
         return from_zero(values, self.laxity.protocol, self.laxity.zero)
 
     def _difference(self, predicted: Array) -> Array:
@@ -293,8 +298,9 @@ def _by_trial(laxity: Laxity, weighting: Weighting) -> Array:
 class SurfaceBumps:
     """Gaussian bumps of one surface, whose random heights make it rough.
 
-    Independent heights of variance 1 give every place of the surface a height of variance 1, and
-    places that are a distance r apart a correlation of about ``exp(-r^2 / (4 length^2))``.
+    Where the heights of all bumps are independent with variance 1, so is the height of the surface
+    at every place; at two places that are r apart it has a correlation of about
+    ``exp(-r^2 / (4 length^2))``.
     """
 
     centres: Array = array(
@@ -306,7 +312,7 @@ class SurfaceBumps:
         """How high each bump of height 1 is at places (n, 3) [mm] of its surface, ``(n, k)``."""
         at = places @ self.centres.T
         at -= 0.5 * (self.centres**2).sum(axis=1)
-        # Only differences between bumps count where their heights are normed.
+        # The norm below cancels a common factor, so the largest exponent may be 0: no underflow.
         at -= at.max(axis=1, keepdims=True)
         bumps = np.exp(at / self.length**2)
         return np.asarray(bumps / np.linalg.norm(bumps, axis=1, keepdims=True))
@@ -326,7 +332,7 @@ class SurfaceBumps:
         rises
             To first order, shape ``(m, k)``.
         """
-        # Normed heights change by what is left of the bumps' own change across them.
+        # The heights have norm 1, so only their change orthogonal to themselves remains.
         middle = heights**2 @ self.centres
         along = np.einsum("mik,ki->mk", moves.transpose(1, 2, 0) @ heights, self.centres)
         left = np.einsum("nmi,ni->mn", moves, middle) @ heights
@@ -336,7 +342,7 @@ class SurfaceBumps:
 def surface_bumps(
     contacts: Sequence[ContactPlaces], tibial: Array, length: float
 ) -> tuple[SurfaceBumps, SurfaceBumps]:
-    """Bumps of tibia and femur, in their axes, wherever they touch.
+    """Bumps of tibia and femur, in the axes of each bone, wherever the two touch.
 
     Parameters
     ----------
@@ -356,11 +362,11 @@ def surface_bumps(
 
 
 def surface_changes(model: LaxityModel, prediction: Prediction, length: float) -> Array:
-    """Derivatives of what is measured by the heights of all bumps, shape ``(n, 5, k)``.
+    """Derivatives of the measured coordinates by the heights of all bumps, shape ``(n, 5, k)``.
 
-    Bumps lie on tibia and femur wherever they touch in any trial, and raise the surface. In mm and
-    deg per mm; independent heights of standard deviation s stand for surfaces whose height is off
-    by s. NaN in trials that did not converge.
+    Bumps lie on tibia and femur wherever these touch in any trial, and raise the surface. The unit
+    is mm or deg per mm. Independent heights of standard deviation s stand for surfaces whose height
+    is off by s. NaN in trials that did not converge.
 
     Raises
     ------
@@ -391,7 +397,7 @@ def _gradient_columns(
     contact: ContactPlaces, tibial: Array, on_tibia: SurfaceBumps, on_femur: SurfaceBumps
 ) -> Array:
     """Derivatives of the energy's gradient by the heights at a fixed pose, shape ``(5, k)``."""
-    # A bump deepens the contact; one on the femur also pushes the tibia down its slope.
+    # A bump deepens the contact; a bump on the femur also tilts the contact normal.
     of_femur = on_femur.heights(contact.femoral)
     heights = np.hstack([on_tibia.heights(tibial), of_femur])
     columns = (contact.stiffness[:, None] * contact.deepening).T @ heights
@@ -401,7 +407,7 @@ def _gradient_columns(
 
 
 def _apart(places: Array, length: float) -> Array:
-    """Places of which no two are closer than a bump is long, and to one of which each is."""
+    """Some of the places: no two closer than a bump's length, and one that near to every place."""
     tree = cKDTree(places)
     is_free = np.ones(len(places), bool)
     chosen = []
@@ -412,27 +418,28 @@ def _apart(places: Array, length: float) -> Array:
     return np.asarray(places[chosen])
 
 
-# mm; the offset of a cartilage sheet is the same within about this distance.
+# Distance within which the offset of a cartilage sheet is about the same [mm].
 SURFACE_LENGTH = 10.0
-ROUGHNESS_LENGTH = 3.0  # mm, of a bump of a rough surface
-# mm; how far the surfaces of a model are from those of the knee, bump by bump: where they are given
-# by a formula only their sampling is rough, a mesh has also been segmented and smoothed.
+ROUGHNESS_LENGTH = 3.0  # of a bump of a rough surface [mm]
+# Standard deviation of a bump's height [mm]: a surface given by a formula is rough by its sampling
+# alone, a mesh also by segmentation and smoothing.
 FORMULA_ROUGHNESS, MESH_ROUGHNESS = 0.01, 0.02
-TOE = 0.15  # %; how well any formula of the toe region describes ligaments
+# Standard deviation of the transition strain [%] that stands for any toe region but the formula's.
+TOE = 0.15
 
 
 def nuisance_changes(model: LaxityModel, theta: Array) -> tuple[Array, Array]:
     """Derivatives of all coordinates by nuisances, and their prior standard deviations.
 
-    Rough surfaces, a force-strain curve whose toe is not quite the one of the equations, unless
-    that is one of the model's effects, and the shared errors that the knee states.
+    The nuisances are rough surfaces, the shared errors that the knee states, and a toe region of
+    the ligaments other than that of the equations, unless the model has it as an effect.
 
     Returns
     -------
     changes
-        For a nuisance of 1, shape ``(n, 5, k)``; NaN in trials that did not converge.
+        Derivatives by each nuisance, shape ``(n, 5, k)``; NaN in trials that did not converge.
     spreads
-        Prior standard deviation of each, shape ``(k,)``.
+        Prior standard deviation of each nuisance, shape ``(k,)``.
     """
     rough = surface_changes(model, model.predict_once(theta), ROUGHNESS_LENGTH)
     height = MESH_ROUGHNESS if model.knee.femur_distance is None else FORMULA_ROUGHNESS
@@ -466,15 +473,16 @@ def with_shared(residuals: LaxityResiduals, columns: Array) -> LaxityResiduals:
 def shared_errors(model: LaxityModel, theta: Array) -> Array:
     """Change of the coordinates by errors of one standard deviation, shape ``(n, 5, k)``.
 
-    An offset of each coordinate for every nominal angle of flexion of a mounting, an error of
-    flexion for every trial, and smooth offsets of the cartilage sheets, as far as the knee states
-    them. The two last are linear at `theta`; NaN in trials that have no equilibrium there.
+    The errors are, where the knee states them: an offset of each coordinate for every nominal
+    flexion angle of a mounting, an error of flexion for every trial, and smooth offsets of the
+    cartilage sheets. The last two are linearised at `theta`, and NaN in trials that have no
+    equilibrium there.
     """
     stated = model.knee.uncertainty
     sizes = [stated.zero_deg if x.endswith("_deg") else stated.zero_mm for x in COORDINATES]
     mounting, angle = model.protocol.mounting, np.array(model.protocol.flexion_deg)
     for each in np.unique(mounting):
-        # Angles that a robot reads a little apart are one.
+        # A robot's readings scatter a little around each nominal angle.
         angle[mounting == each] = nominal_flexion(model.protocol.select(mounting == each))
     places, group = np.unique(np.column_stack([mounting, angle]), axis=0, return_inverse=True)
     columns = np.zeros((model.protocol.n, len(COORDINATES), len(places), len(COORDINATES)))
@@ -496,7 +504,7 @@ def shared_errors(model: LaxityModel, theta: Array) -> Array:
     return np.concatenate(parts, axis=2)
 
 
-# The paper: "the kinematic error remained below 1 mm and 1.2 deg for all conditions", the
+# "The kinematic error remained below 1 mm and 1.2 deg for all conditions" in the paper, a
 # root-mean-square difference over the trials of a flexion angle.
 PAPER_LIMITS: Mapping[str, float] = MappingProxyType(
     {"anterior_drawer_mm": 1.0, "varus_deg": 1.2, "internal_deg": 1.2}
@@ -506,18 +514,18 @@ PAPER_LIMITS: Mapping[str, float] = MappingProxyType(
 def rms_blocks(
     residuals: LaxityResiduals, limits: Mapping[str, float] = PAPER_LIMITS
 ) -> dict[str, Array]:
-    """Weights of residuals by flexion angle and coordinate, shape ``(m,)`` each.
+    """Weights of the residuals of each flexion angle and coordinate, shape ``(m,)`` each.
 
-    The weighted sum of squares of a block is the mean square of a coordinate's residuals over the
-    trials at a flexion angle, in units of its limit squared: a block of value 1 has a
-    root-mean-square at its limit. Names read ``"internal_deg@30"``.
+    The sum of squares of the weighted residuals is the mean square of a coordinate over the trials
+    at a flexion angle, over its limit squared: it is 1 where the root-mean-square is at the limit.
+    Names read ``"internal_deg@30"``.
 
     Parameters
     ----------
     residuals
         Unit-weighted, so that they are in mm and deg.
     limits
-        Largest root-mean-square by coordinate [mm, deg]; coordinates not named are free.
+        Largest root-mean-square by coordinate [mm, deg]; coordinates not named have no limit.
 
     Raises
     ------
@@ -552,10 +560,10 @@ def rms_blocks(
 
 
 def largest_loads(protocol: Protocol) -> IntArray:
-    """Which trials have the largest load of their kind at their flexion angle, in their order.
+    """Indices of the trials with the largest load of their kind at their flexion angle, ascending.
 
-    Two loads are of a kind where the same components have the same signs, in one experiment and
-    state of the knee.
+    Loads are of one kind if their components have the same signs, in the same experiment and state
+    of the knee.
 
     Examples
     --------
