@@ -33,7 +33,7 @@ from identknee.runs.declare import declared, entry
 class Effect(Protocol):
     """A cause by name, with its amplitudes as parameters; zero amplitudes change nothing.
 
-    It also has either `change` (`MechanicalEffect`) or `observe` (`ObservationEffect`).
+    An effect also has either `change` (`MechanicalEffect`) or `observe` (`ObservationEffect`).
     """
 
     @property
@@ -43,7 +43,7 @@ class Effect(Protocol):
 
     @property
     def parameters(self) -> Parameters:
-        """Its amplitudes, with bounds, prior and unit; their centre is no effect."""
+        """Its amplitudes, with bounds and priors; the last words of their names are the units."""
         ...
 
 
@@ -98,7 +98,7 @@ def is_self_contained(effect: Effect) -> TypeGuard[SelfContainedEffect]:
 def differs_by_replica(effect: Effect) -> bool:
     """Whether replicas of inputs or trials may each have amplitudes of their own, ``(k, a)``.
 
-    Derivatives by the amplitudes are then had in one call.
+    One call then gives the derivatives by all amplitudes.
     """
     return bool(getattr(effect, "differs_by_replica", False))
 
@@ -138,7 +138,7 @@ def amplitudes(
     upper: Sequence[float],
     center: Sequence[float] | None = None,
 ) -> Parameters:
-    """Parameters ``cause.name`` of an effect.
+    """Parameters of an effect, each named ``cause.name``.
 
     Parameters
     ----------
@@ -180,7 +180,10 @@ def effect_of(
     upper: Sequence[float],
     **how: Any,
 ) -> Made:
-    """An effect of a class such as `InputsChange`, with `amplitudes`; `how` it acts."""
+    """An effect of a class such as `InputsChange`; `how` has the other fields of that class.
+
+    The remaining arguments are those of `amplitudes`.
+    """
     made = amplitudes(name, names, prior_sd, lower=lower, upper=upper)
     return kind(name=name, parameters=made, **how)
 
@@ -225,7 +228,7 @@ class ReadingError:
 
 @declared
 class PartOfEffect:
-    """An effect on the inputs of which some amplitudes alone vary, a cause of its own."""
+    """Some of the amplitudes of an effect as a cause of its own; the others stay at zero."""
 
     whole: InputsChange = entry("The effect of all amplitudes")
     moved: IntArray = entry("Where its amplitudes stand among those")
@@ -249,14 +252,14 @@ def with_remeasured_lengths(
 ) -> MechanicsInputs:
     """The inputs with other lines, `changed` ones (m,) with their length in the scanned pose.
 
-    A ligament's reference length is measured between its insertions: where they are put elsewhere,
-    or the way between them is another, so is what was measured.
+    A ligament's reference length is measured along its course in the scan, so it changes with its
+    insertions and with that course.
     """
     lengths = np.where(changed, setting.lengths_at_start(lines), lines.reference_length)
     return replace(setting, lines=replace(lines, reference_length=lengths))
 
 
-# Between the rig, mounting or partial cut that an effect belongs to and its name.
+# Separates the scope of an effect (a rig, a mounting, a state or a partial cut) from its name.
 OF = "/"
 
 
@@ -267,7 +270,7 @@ def scope_of(effect: Effect) -> str:
 
 
 def is_error_of_rig(effect: Effect) -> bool:
-    """Whether it is an error of one rig or mounting, or a cut, and so none of the knee's own."""
+    """Whether an effect is a nuisance of one rig, mounting or state, not of the whole knee."""
     return bool(scope_of(effect)) and not effect.parameters.is_of_interest.any()
 
 
@@ -296,17 +299,17 @@ def with_fixed_amplitudes(effect: Effect, fixed: Mapping[str, float]) -> Effect:
     if isinstance(effect, ObservationEffect):
         read = partial(_at_fixed, effect.observe, free)
         return ReadingError(name=effect.name, parameters=free.parameters, read=read)
-    raise TypeError(f"{effect.name} changes neither the setting nor what is read")
+    raise TypeError(f"the effect {effect.name} has neither `change` nor `observe`")
 
 
 def _at_fixed(
     act: Callable[..., Any], free: FreeParameters, on: Any, values: Array, *at: Any
 ) -> Any:
-    """What `act` makes of inputs or readings, with the fixed amplitudes beside `values`."""
+    """The result of `act` on inputs or readings, with the fixed amplitudes beside `values`."""
     return act(on, free.expand(values), *at)
 
 
-# The first ending that fits counts.
+# Units by the ending of a name, tried in this order: longer endings stand before shorter ones.
 UNITS = {
     "N_per_mm3": "N/mm3",
     "N_per_mm": "N/mm",
@@ -335,7 +338,7 @@ def unit_of(parameter: str) -> str:
 
 
 Placed = tuple[MechanicalEffect, slice]
-# Smaller differences, relative to what differs, are rounding.
+# Relative size below which a difference is rounding.
 SMALLEST_DIFFERENCE = 1e-11
 
 
@@ -377,14 +380,15 @@ def gradient_columns(
     return np.asarray(columns + changes / (2.0 * steps))
 
 
-# What lines do at poses: of the lines, flexion (n,), poses (n, 5), stiffness and reference strain.
+# A quantity of lines such as their tension, from the lines, flexion (n,), poses (n, 5), stiffness
+# and reference strain.
 OfLines = Callable[[LineLigaments, Array, Array, Array, Array], Array]
 
 
 def _perturbed(
     effects: Sequence[Placed], settings: Sequence[MechanicsInputs], values: Array, steps: Array
 ) -> tuple["_Replicas", Array, list[tuple[Array, Array, slice]]]:
-    """What small changes of the amplitudes, down and up, do to the inputs.
+    """Changes of the inputs by small changes of the amplitudes, down and up.
 
     Returns
     -------
@@ -453,9 +457,10 @@ def central_difference_values(values: Array, steps: Array) -> Array:
 class _Replicas:
     """Replicas 2 k and 2 k + 1 of the inputs, with amplitude k perturbed down and up.
 
-    All in one setting: first the one in which none is moved, as copy -1, then the lines and the
-    nodes that an amplitude changes. The contact law is one; effects add to its logarithm and to its
-    exponent, whatever they are. So are the menisci, to whose values they add.
+    All replicas are in one `MechanicsInputs`: first the unperturbed inputs, as copy -1, then the
+    lines and nodes that an amplitude changes. They share one contact law and the menisci, to which
+    effects add: to the logarithm of the modulus, to the exponent and to the values of the menisci.
+    The sums are kept apart here.
     """
 
     def __init__(self, n_values: int) -> None:
@@ -517,7 +522,7 @@ class _Replicas:
         self._all = with_replicas(whole, made, lines=has_lines, nodes=has_nodes)
 
     def by_nodes(self, found: Equilibria, nodes: IntArray) -> Array:
-        """What loads, flexion and contact law change in the gradient, shape ``(n, 5, a)``."""
+        """Change of the gradient by loads, flexion, contact law and menisci, ``(n, 5, a)``."""
         # The sensitivities are -H^-1 times the columns that are wanted here.
         laws = found.sensitivities[nodes][:, :, -2:] @ self._laws
         if self._menisci.any():
@@ -551,7 +556,7 @@ class _Replicas:
         order = order[np.searchsorted(self._all.copy[order], 0) :]
         copy, table = self._all.copy[order], _table(self._all)[order]
         low, high = copy % 2 == 0, copy % 2 == 1
-        # The lines of a copy are the first of all, those an effect added later being in none.
+        # A copy has the first lines of the inputs: lines that a later effect adds are in no copy.
         line = np.arange(len(order)) - np.searchsorted(copy, copy)
         moves[copy[low] // 2, line[low]] = table[high] - table[low]
         return moves
@@ -590,7 +595,7 @@ def _moved_lines(
     return line, entry, step, lines, (both[:, STIFFNESS_COLUMN], both[:, STIFFNESS_COLUMN + 1])
 
 
-# Of the table of lines: which column has the stiffness, and how many there are.
+# The column of the stiffness in the table of lines, and the number of columns.
 STIFFNESS_COLUMN = LINE_COLUMNS
 N_COLUMNS = STIFFNESS_COLUMN + 2
 
@@ -601,8 +606,8 @@ def _table(setting: MechanicsInputs) -> Array:
     return np.column_stack([setting.measured_lines.table(), *laws])
 
 
-# Of the range of an amplitude: settings and observations are smooth functions in closed form, whose
-# central difference is right to the square of this.
+# Step of an amplitude as a share of its range. Effects are smooth functions in closed form, so the
+# error of a central difference is about the square of this.
 STEP = 1e-6
 COORDINATE_STEP = 1e-4  # mm, deg
 FLEXION_STEP = 1e-5  # rad
@@ -651,7 +656,7 @@ class EffectStack:
         return self.changes(setting, values)[-1]
 
     def observe(self, coordinates: Array, values: Array, tests: TrialRecord) -> Array:
-        """What is measured of coordinates, shape ``(n, 5)``."""
+        """Measured coordinates for the true ones, shape ``(n, 5)``."""
         for effect, part in self._observed:
             coordinates = effect.observe(coordinates, values[part], tests)
         return coordinates
@@ -683,19 +688,21 @@ class EffectStack:
         # Where no equilibrium was found, and no spring holds the knee, the Hessian may be singular.
         has_pose = is_at_rest[nodes]
         columns[~has_pose] = np.nan
-        # Inverting matrices so small takes a third of the time that solving with them does.
+        # For 5 by 5 matrices `inv` takes a third of the time of `solve`.
         columns[has_pose] = np.linalg.inv(found.hessians[nodes][has_pose]) @ columns[has_pose]
         return columns
 
     def observed_slopes(
         self, coordinates: Array, values: Array, tests: TrialRecord
     ) -> tuple[Array, Array]:
-        """Derivatives of what is measured, by coordinates (n, 5, 5) and amplitudes (n, 5, a)."""
+        """Derivatives of the measured coordinates by the true ones and by the amplitudes.
+
+        Shapes ``(n, 5, 5)`` and ``(n, 5, a)``.
+        """
         if not self._observed:
             by_coordinate = np.broadcast_to(np.eye(5), (len(coordinates), 5, 5))
             return by_coordinate, np.zeros((len(coordinates), 5, len(values)))
-        # Readings with one number a little smaller and larger, all below each other: they go
-        # through the effects that act later together.
+        # All perturbed readings are stacked, so that each later effect is called once.
         n, moved = len(coordinates), [*range(5)]
         steps = np.r_[np.full(5, COORDINATE_STEP), self._steps]
         stack = (coordinates + central_difference_values(np.zeros(5), steps[:5])[:, None]).reshape(
@@ -725,7 +732,7 @@ class EffectStack:
         nodes: IntArray,
         quantity: OfLines,
     ) -> tuple[Array, Array]:
-        """Derivatives of what lines do, by the amplitudes at poses ``(n, 5)``.
+        """Derivatives of a quantity of the lines by the amplitudes, at given poses.
 
         Parameters
         ----------
@@ -734,14 +741,14 @@ class EffectStack:
         poses
             Pose of each trial, shape ``(n, 5)``.
         quantity
-            What m lines do, a closed-form function, shape ``(n, m, k)``.
+            The quantity of m lines, a closed-form function, shape ``(n, m, k)``.
 
         Returns
         -------
         changes
-            The derivatives, shape ``(n, m, k, a)``.
+            Derivatives of the quantity, shape ``(n, m, k, a)``.
         stiffness
-            Those of the stiffness of each line [N], shape ``(m, a)``.
+            Derivatives of the stiffness of each line [N], shape ``(m, a)``.
         """
         effects, steps, last = self._mechanical, self._steps, settings[-1]
         flexion, table = last.flexion[nodes], _table(last)
@@ -766,11 +773,10 @@ class EffectStack:
     def contact_pairs(
         self, settings: Sequence[MechanicsInputs], values: Array
     ) -> Iterator[tuple[int, float, MechanicsInputs, MechanicsInputs]]:
-        """Inputs with an amplitude a little smaller and larger, where that changes the contact.
+        """Inputs at an amplitude a little smaller and larger, of effects that change the contact.
 
-        That is where it changes frames, flexion, the contact law or the menisci. Each comes with
-        the place of the amplitude and the difference. Effects that leave all these as they are do
-        not act.
+        These change frames, flexion, the contact law or the menisci; the other effects are left
+        out. Each pair comes with the index of the amplitude and the difference between the two.
         """
         acting = [
             (effect, part, before)

@@ -1,6 +1,6 @@
-"""Facts about each cause: its meaning, plausible size with source, and relevant size.
+"""Facts about each cause: its meaning, plausible size with source, and smallest relevant size.
 
-Sizes whose source is called an estimate are ours or common knowledge of the field.
+Where a source is called an estimate, the size is ours or common in the field.
 
 References
 ----------

@@ -24,8 +24,8 @@ BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 def insertion(knee: Knee) -> InputsChange:
     """Shifts of both insertions of every ligament along the axes of their bone [mm].
 
-    The reference length is that between the shifted insertions in the scanned pose. Errors of 1 to
-    4 mm are an estimate of what segmentation leaves.
+    The reference length is that between the shifted insertions in the scanned pose. The size,
+    errors of segmentation of 1 to 4 mm, is an estimate.
     """
     names = [
         f"{x.name}_{bone}_{axis}_mm" for x in knee.ligaments for bone in BONES for axis in AXES
@@ -50,17 +50,18 @@ def _shifted(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     return with_remeasured_lengths(setting, moved, is_own)
 
 
-# Two sets of insertions of one specimen, from CT and from MRI, differ by 9 mm rms, 5 mm an axis.
+# The insertions of one specimen (s192803) from CT and from MRI differ by 9 mm rms, that is 5 mm
+# along each axis (docs/uncertain_geometry.md).
 GROSS_SD, FARTHEST = 5.0, 25.0  # mm
-# Along x, y and z of the bone of a right knee: towards the positive side and the negative one.
+# Names of the positive and the negative direction along x, y and z of a right knee.
 WAYS = (("anterior", "posterior"), ("proximal", "distal"), ("lateral", "medial"))
-# Share of the largest shift below which one along another axis is not reported.
+# Shifts below this share of the largest are not reported.
 LEAST_NAMED = 0.25
 
 
 @declared
 class InsertionShift(PartOfEffect):
-    """A shift of one insertion beside the small shifts that all of them may have [mm]."""
+    """A gross shift of one insertion, beside the small shifts of all insertions [mm]."""
 
     ligament: str = entry("Ligament whose insertion it is")
     bone: str = entry("Bone on which the insertion lies")
@@ -71,7 +72,7 @@ class InsertionShift(PartOfEffect):
         return f"{self.ligament}_{self.bone}"
 
     def applied(self, knee: Knee, values: Array) -> Knee:
-        """The knee whose insertion lies there."""
+        """The knee with the insertion shifted by `values` [mm], shape ``(3,)``."""
         frame = knee.femur_frame if self.bone == BONES[0] else knee.tibia_frame
         ligaments = [
             replace(x, **{self.bone: getattr(x, self.bone) + values @ frame.axes})
@@ -105,7 +106,7 @@ def direction_words(shifts: Mapping[str, float]) -> str:
     Parameters
     ----------
     shifts
-        By the names that `moved_insertion` gives them [mm].
+        Shifts by their names in `moved_insertion` [mm].
 
     Examples
     --------

@@ -23,15 +23,14 @@ from identknee.subject.knee import Knee
 from identknee.subject.menisci import MENISCI, MOST_OFFSET, MOST_STIFFNESS, SIDES
 
 CONTACT_LAW = "contact_law"
-# Of the logarithm of the modulus: what cartilage may be, and what a computation may get wrong.
+# Standard deviation of the logarithm of the modulus: over knees, and by errors of the computation.
 CARTILAGE_SD, NUMERICAL_SD = 0.7, 0.15
-# A law with another exponent than 1 is as stiff at the depth that the exponent leaves alone.
 EXPONENT_SD = 0.3
 
 
 @declared
 class Cartilage:
-    """Another contact law: logarithm of the modulus over the paper's and change of the exponent."""
+    """Another contact law: logarithm of its modulus over the paper's, and change of exponent."""
 
     name: str = entry("Name of the cause", default="cartilage")
     modulus_sd: float = entry(
@@ -64,27 +63,27 @@ def contact_nuisance() -> Cartilage:
     return Cartilage(name=CONTACT_LAW, modulus_sd=NUMERICAL_SD)
 
 
-# A spring to so far a point resists motion along itself alone [mm].
+# Length of the springs [mm]: so long that they hardly turn, and resist motion along one axis only.
 FAR = 500.0
-# Negative: linear in tension and compression.
+# A negative transition strain stands for a spring that is linear in tension and compression.
 BILATERAL = -1.0
 
 
 @declared
 class Meniscus:
-    """Springs along and across each plateau, of one stiffness each side [N/mm].
+    """Springs along and across each plateau, of one stiffness for each side [N/mm].
 
     They are relaxed in the scanned pose.
     """
 
     name: str = entry("Name of the cause", default="meniscus")
     femoral: Array = array(
-        "Ends of all springs in femoral axes, two springs for each amplitude",
+        "Femoral ends of all springs in femoral axes, two springs for each amplitude",
         "4",
         "axis",
         unit="mm",
     )
-    tibial: Array = array("Their ends in tibial axes", "4", "axis", unit="mm")
+    tibial: Array = array("Their tibial ends in tibial axes", "4", "axis", unit="mm")
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -104,9 +103,9 @@ class Meniscus:
 
 
 def meniscus(knee: Knee) -> Meniscus:
-    """Shear stiffness of both menisci [N/mm], from the condyles' centres along the tibia's axes.
+    """Menisci as springs against sliding [N/mm], from the condyles' centres along the tibia's axes.
 
-    5 to 50 N/mm is an estimate; models without menisci are known to lack a restraint of sliding.
+    The size, 5 to 50 N/mm, is an estimate. Models without menisci lack a restraint of sliding.
     """
     anterior, _, lateral = knee.tibia_frame.axes
     ends = [
@@ -120,16 +119,16 @@ def meniscus(knee: Knee) -> Meniscus:
     )
 
 
-# Of the stiffness of a meniscus [N/mm3] and of how far the gaps of the scan are off [mm].
+# Prior standard deviations of the stiffness of a meniscus [N/mm3] and of its height [mm].
 WEDGE_SD, OFFSET_SD = 1.0, 0.5
 
 
 def meniscal_wedge() -> InputsChange:
     """The menisci as wedges that fill the gaps around the plateaus in the scanned pose.
 
-    Pressure per compression of each [N/mm3], and how much higher they are than those gaps [mm].
-    They press where a gap closes, and so resist tilting, compression and sliding; see
-    `identknee.subject.menisci`.
+    The amplitudes are the pressure over the compression of each meniscus [N/mm3], and how much
+    higher both are than the gaps [mm]. Menisci press where a gap closes, and so resist tilting,
+    compression and sliding; see `identknee.subject.menisci`.
     """
     return effect_of(
         InputsChange,
@@ -152,15 +151,15 @@ PLACE_SD, PLACE_LIMIT = 4.0, 16.0  # mm
 
 
 def bundles(knee: Knee) -> InputsChange:
-    """Two bundles in place of every ligament, a spread apart in reference strain and in place.
+    """Two bundles in place of every ligament, that differ in reference strain and insertions.
 
-    Each has half of the stiffness; the first half of the spread [%] more strain than the ligament
-    and, along the axes of its bone, half of the distance [mm] between their insertions to one side,
-    the second as much less and to the other side. Reference lengths are those between the bundles'
-    own insertions in the scanned pose. Bundles of published models differ by 4 % (anterior
-    cruciate) to 21 % (posterior cruciate) and 33 % (lateral collateral) [1]_; distances of 4 mm are
-    an estimate. Without a spread in strain nothing changes to first order in either. All lines of a
-    group are split alike: its amplitudes are those of the ligament.
+    Each bundle has half of the stiffness. The amplitudes are the spread of reference strain [%] and
+    the distances of the two insertions on each bone along its axes [mm]. The first bundle has half
+    of each spread more than the ligament, the second half of it less. Reference lengths are those
+    between the bundles' own insertions in the scanned pose. Bundles of published models differ by
+    4 % (anterior cruciate) to 21 % (posterior cruciate) and 33 % (lateral collateral) [1]_;
+    distances of 4 mm are an estimate. Where strains do not differ, nothing changes to first order.
+    All lines of a group are split alike and share its amplitudes.
 
     References
     ----------
@@ -190,18 +189,18 @@ def bundles(knee: Knee) -> InputsChange:
 
 @declared
 class LigamentBundles(PartOfEffect):
-    """Bundles of one ligament of a knee, the other ligaments as they are."""
+    """Bundles of one ligament of a knee; the other ligaments stay whole."""
 
     ligament: str = entry("Name of the ligament, or of the group of its lines")
 
     @property
     def variant(self) -> str:
-        """Which ligament it is."""
+        """The ligament, which tells the parts of this effect apart."""
         return self.ligament
 
 
 def bundles_of_each(knee: Knee) -> tuple[LigamentBundles, ...]:
-    """Bundles of each ligament as causes of their own."""
+    """One cause for each ligament: its bundles."""
     whole = bundles(knee)
     p, names = whole.parameters, whole.parameters.names
     n = p.n // (1 + len(BONES) * len(AXES))
@@ -216,12 +215,12 @@ def bundles_of_each(knee: Knee) -> tuple[LigamentBundles, ...]:
 
 def _split(ligament: IntArray, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     is_own, lines = setting.owner >= 0, setting.lines
-    # Every line, then the second bundles of those that belong to a ligament.
+    # The first bundle takes the place of its line; second bundles follow after all lines.
     line = np.r_[np.arange(is_own.size), np.flatnonzero(is_own)]
     owner = setting.owner[line]
     side = np.where(owner >= 0, 0.5, 0.0)
     side[is_own.size :] *= -1.0
-    # Of lines that belong to no ligament, which are not split, any one.
+    # Lines without a ligament (owner -1) get any value here: `side` is 0 for them.
     of = ligament[owner]
     n = values.shape[-1] // (1 + len(BONES) * len(AXES))
     each = values if values.ndim > 1 else values[None]
@@ -243,9 +242,9 @@ def _split(ligament: IntArray, setting: MechanicsInputs, values: Array) -> Mecha
 
 
 def toe_strain() -> InputsChange:
-    """Another transition strain of all of the subject's ligaments: change from 3 % [%].
+    """Another transition strain of all ligaments of the subject, as a change from 3 % [%].
 
-    Knee models take 3 % since [1]_; that it is 1.5 to 4.5 % in a knee is an estimate.
+    Knee models have used 3 % since [1]_. The range of 1.5 to 4.5 % is an estimate.
 
     References
     ----------
@@ -272,9 +271,9 @@ WRAPPING = "mcl_wrapping"
 def mcl_wrapping(knee: Knee) -> InputsChange:
     """Lift of the medial collateral ligament off its straight line, at the joint line [mm].
 
-    The rim of the plateau and the meniscus push it medially. Its reference length is that of the
-    lifted course. 2 to 8 mm is an estimate. Its length changes with the square of a small lift, so
-    that the first derivative at zero is zero.
+    The rim of the plateau and the meniscus push the ligament medially. Its reference length is that
+    of the lifted course. The size, 2 to 8 mm, is an estimate. The length changes with the square of
+    a small lift, so that the first derivative at zero is zero.
 
     Raises
     ------
@@ -284,15 +283,15 @@ def mcl_wrapping(knee: Knee) -> InputsChange:
     found = anatomy(knee)
     if found.medial_collateral is None:
         raise ValueError(
-            f"{WRAPPING} needs a medial collateral ligament, and none of this knee's lines runs "
-            "as it does; leave the effect out"
+            f"{WRAPPING} needs a medial collateral ligament, and no ligament of this knee runs "
+            "like one; leave the effect out"
         )
     ligament = knee.ligament(found.medial_collateral)
     bottom, top = knee.tibia_frame.to_local([ligament.tibia, ligament.femur])[:, 1]
     if ligament.wrap is not None:
         raise ValueError(
-            f"{WRAPPING} is of a straight ligament, and {ligament.name} has an obstacle; leave the "
-            "effect out"
+            f"{WRAPPING} needs a straight ligament, and {ligament.name} wraps around an obstacle; "
+            "leave the effect out"
         )
     index = [x.name for x in knee.ligaments].index(ligament.name)
     place = float((found.joint_line - bottom) / (top - bottom))
@@ -310,7 +309,7 @@ def _with_wrapping(
     is_lifted, lines = setting.owner == index, setting.lines
     course = replace(
         lines,
-        # Medial is against femoral z.
+        # Femoral z points laterally.
         wrap_offset=np.where(is_lifted, -values[0], lines.wrap_offset),
         wrap_place=np.where(is_lifted, place, lines.wrap_place),
     )
