@@ -1,7 +1,7 @@
 """One knee in several experiments: what is cut in each, and the errors of its rig and mounting.
 
-Parameters of the ligaments are those of all trials. Errors of a rig or a mounting, and fractions
-of partial cuts, are called ``scope/name``.
+All trials share the parameters of the ligaments. Errors of a rig or a mounting, and fractions of
+partial cuts, are named ``scope/name``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,10 +29,10 @@ from identknee.runs.arrays import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
 
-# Errors that belong to a rig, to a mounting of the knee in it, and to a state, by their names.
+# Names of the errors that belong to a rig, to a mounting of the knee in it, and to a state.
 OF_RIG, OF_MOUNTING = ("load_gain", "load_axes", "registration"), ("flexion",)
 OF_STATE = ("state_elongation", "state_drift")
-# Causes that belong to a rig.
+# Names of the causes that belong to a rig.
 CAUSES_OF_RIG = (
     "moment_gain_IE",
     "moment_gain_VV",
@@ -48,16 +48,17 @@ CAUSES_OF_RIG = (
 )
 # Causes that may begin when a knee is taken out of its rig to be cut.
 CAUSES_OF_STATE = ("flexion_offset", "femur_frame", "tibia_frame", "moment_offset")
-# Where two rigs are compared one may be off by more than any rig alone is expected to be.
+# A comparison of two rigs shows gain errors larger than anyone would expect of one rig.
 GAINS, GAIN_SD, GAIN_LIMITS = CAUSES_OF_RIG[:2], 0.3, (-0.9, 1.5)
 # Standard deviation of the fraction of stiffness that a partial cut takes away.
 PARTIAL_CUT_SD = 0.2
 CUT = "cut"
+# Stands for the experiment of a protocol that names none.
 ONE = Experiment(name="all", rig="rig", mounting="mounting")
 
 
 def kinds_of_trials(protocol: Protocol) -> list[tuple[Experiment, str]]:
-    """Rig and mounting of each trial, as the first experiment with them, and its state."""
+    """Experiment and state of each trial; the first of all that share a rig and a mounting."""
     if protocol.experiment is None:
         first = protocol.experiments[0] if protocol.experiments else ONE
         return [(first, x) for x in protocol.states]
@@ -74,10 +75,10 @@ def effects_of_part(
     Returns
     -------
     own
-        Those of the whole knee, of the rig, of the mounting, of the state and of the cuts.
+        The effects of the whole knee, of the rig, of the mounting, of the state and of the cuts.
     acting
-        The same, each the first of its kind under its plain name, and the cuts that are none of
-        them at their stated fraction.
+        The same effects, the first of each kind under its plain name, then the cuts that the model
+        has no effect for, at their stated fraction.
     """
     cuts = cuts_of(state)
     scopes = {"", experiment.rig, experiment.mounting, _state_scope(state), *map(_scope, cuts)}
@@ -100,7 +101,7 @@ def _as_stated(effect: Effect) -> Effect:
 
 
 def _plain_name(effect: Effect) -> str:
-    """Its name in a part, for the first of its kind, or of its ligament."""
+    """Name of an effect without its scope; a cut keeps the name of its ligament."""
     scope, _, kind = effect.name.rpartition(OF)
     return f"{CUT}_{scope}" if kind == CUT else kind
 
@@ -142,7 +143,7 @@ def _without(owners: IntArray, setting: MechanicsInputs, values: Array) -> Mecha
 
 
 def members_of(knee: Knee, name: str) -> frozenset[str]:
-    """The bundles of a group, or the ligament of that name itself."""
+    """Names of the bundles of a group, or the name itself where it is a ligament."""
     return frozenset(next((x.members for x in knee.groups if x.name == name), (name,)))
 
 
@@ -153,12 +154,13 @@ def gone_in(knee: Knee, state: str) -> frozenset[str]:
 
 
 def check_states(knee: Knee, protocol: Protocol) -> None:
-    """Refuse states that name no ligament of the knee, or leave it none.
+    """Refuse states that the knee cannot have.
 
     Raises
     ------
     ValueError
-        Naming the first such state.
+        If a state cuts a ligament that the knee lacks, or all ligaments, or if an experiment is of
+        the other side.
     """
     for one in protocol.experiments or ():
         if one.side and one.side != knee.side:
@@ -183,11 +185,11 @@ def check_states(knee: Knee, protocol: Protocol) -> None:
 
 
 def effects_in_experiments(knee: Knee, protocol: Protocol) -> tuple[Effect, ...]:
-    """The effects stored with a knee, those of rigs and mountings once for each of them.
+    """The effects stored with a knee, with a copy for each rig or mounting where there are several.
 
-    Errors of one rig are independent of those of another, and so are those of two mountings. What
-    changes between states is counted from the intact knee, once for each other state. A partial
-    cut adds the fraction that is cut. With one rig and mounting names stay as they are.
+    Errors of two rigs are independent of each other, and so are those of two mountings. Changes
+    between states are counted from the intact knee, with a copy for each other state. A partial cut
+    adds the fraction that is cut. With a single rig or mounting names have no scope.
     """
     check_states(knee, protocol)
     experiments = protocol.experiments or (ONE,)
@@ -214,7 +216,7 @@ def _scopes(experiments: Sequence[Experiment], kind: str) -> list[str]:
 
 
 def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effect]:
-    """Errors that a rig states for itself; they take the place of those of the subject."""
+    """Errors that a rig states for itself, in place of those stated for the subject."""
     for x in {x.rig: x for x in experiments if x.uncertainty}.values():
         own = {k: size for k, size in x.uncertainty.items() if k not in LOAD_CELL}
         stated = knee.with_uncertainty(replace(knee.uncertainty, **own))
@@ -226,9 +228,10 @@ def _rig_errors(knee: Knee, experiments: Sequence[Experiment]) -> Iterator[Effec
 
 
 def causes_in_experiments(effects: Sequence[Effect], protocol: Protocol) -> tuple[Effect, ...]:
-    """Candidate causes, those of a rig once for each where there are several.
+    """Candidate causes, with a copy for each rig where there are several.
 
-    What may begin with a cut is also tried once for each state with one, beside intact trials.
+    Causes that may begin when the knee is cut also have a copy for each cut state, if there are
+    trials in another state to compare with.
     """
     rigs = _scopes(protocol.experiments, "rig")
     states = dict.fromkeys(protocol.state or ())

@@ -90,7 +90,7 @@ Sheet = tuple[Array, IntArray]
 
 @declared
 class ContactGeometry:
-    """The arrays of a knee for the kernel."""
+    """Geometry of a knee as arrays for the compiled mechanics."""
 
     field: DistanceField = entry("Signed distance to the femur, in femoral axes")
     contact: ContactPoints = entry("Points of the tibia that carry contact, in tibial axes")
@@ -117,7 +117,7 @@ def contact_geometry(knee: Knee, n_points: int | None = DEFAULT_NUMBER) -> Conta
         contact = replace(contact, law=ContactLaw(rounding=rounding))
     lines = lines_in_bones(knee)
     if wrapped_lines(lines).size:
-        # As the mechanics measure it, which round the touch of a line.
+        # The mechanics smooth the contact of a line with its obstacle, so their length is used.
         lines = replace(lines, reference_length=line_lengths(lines, flexion, start))
     return ContactGeometry(
         field=_field(knee),
@@ -152,7 +152,7 @@ def lines_in_bones(knee: Knee) -> LineLigaments:
     )
 
 
-# Knees of one geometry differ in priors, effects and insertions.
+# Cached apart from the knee: subjects with the same surfaces differ in priors and insertions.
 @lru_cache(maxsize=4)
 def _tibial_contact(
     surfaces: tuple[Surface, ...], frame: Frame, n_points: int | None
@@ -169,11 +169,11 @@ def contact_sheets(knee: Knee) -> tuple[Sheet, tuple[Sheet, ...]]:
     return femur, tibia
 
 
-# Of the field that menisci need: its spacing is twice as wide, since only gaps are looked up there.
+# Grid of the distance field for menisci: coarser, since only gaps are looked up in it.
 WIDE_SPACING, WIDE_PADDING = 2.0 * SPACING, ceil(FIELD_REACH / (2.0 * SPACING)) + 3
-# Points of both menisci together; they are soft, so that fewer do than for contact.
+# Points of both menisci together: fewer than for contact suffice, because menisci are soft.
 MENISCUS_POINTS = 200
-DECIMALS = 6  # mm
+DECIMALS = 6  # of coordinates in mm
 
 
 @lru_cache(maxsize=4)
@@ -194,7 +194,7 @@ def meniscus_geometry(knee: Knee, number: int | None = MENISCUS_POINTS) -> Menis
     below, sides = [], []
     sheets = zip(contact_sheets(knee)[1], joint.tibial_rims, (1.0, -1.0), strict=True)
     for side, ((vertices, faces), rim, inward) in enumerate(sheets):
-        # So that a knee that lies elsewhere in its scanner has the same patches.
+        # Rounding errors of another position in the scanner must not change the patches.
         vertices = np.round(vertices, DECIMALS)
         centroids = vertices[faces].mean(axis=1)
         gaps = gaps_to(field, scanned.to_femur(centroids))
@@ -231,7 +231,7 @@ def _field(knee: Knee, *, spacing: float = SPACING, padding: int = PADDING) -> D
     return _field_of(knee.femur, knee.femur_frame, knee.femur_distance, spacing, padding)
 
 
-# Knees of one geometry differ in much else.
+# Cached apart from the knee, as above.
 @lru_cache(maxsize=4)
 def _field_of_mesh(femur: Surface, frame: Frame, spacing: float, padding: int) -> DistanceField:
     return _field_of(femur, frame, None, spacing, padding)
@@ -255,13 +255,13 @@ def _field_of(
         def distance(points: Array) -> Array:
             return closed_form(frame.to_common(points))
 
-        # A formula has no bytes: what it gives off the surface stands for it.
+        # A function cannot be hashed, so its values at some points near the surface are.
         digest.update(distance(femoral[::7] * 1.02).tobytes())
     else:
         digest.update(femur.faces.tobytes())
     path = cache_folder() / "fields" / f"{digest.hexdigest()[:24]}.npz"
     arrays = ("coefficients", "reach", "near", "origin", "spacing")
-    # There is none, or it is damaged.
+    # The file does not exist, or is damaged.
     missing = suppress(OSError, KeyError, ValueError, EOFError, BadZipFile)
     with missing, path.open("rb") as file, np.load(file) as kept:
         values = {x: kept[x] for x in arrays}
@@ -280,8 +280,8 @@ def _field_of(
 
 
 Contact = Literal["field", "mesh"]
-# Loads of a protocol (internal, varus moment, anterior, distraction, lateral force) to generalised
-# loads of (varus, internal, x, y, z).
+# From the loads of a protocol (internal and varus moment [N·m], anterior, distraction and lateral
+# force [N]) to generalised loads of (varus, internal [N mm], x, y, z [N]).
 _GENERALISED = np.array(
     [
         [0.0, 1000.0, 0.0, 0.0, 0.0],
@@ -300,11 +300,12 @@ class _LastPrediction(threading.local):
 
 
 _LAST = _LastPrediction()
-# Models whose last prediction a thread remembers: a trial without equilibrium is predicted twice.
+# Number of models whose last prediction a thread remembers: with `HeldTrials` residuals alternate
+# between two models.
 REMEMBERED = 2
 
 
-# Arrays of a prediction with a row a trial; those of derivatives, with a column a parameter.
+# Fields of a prediction with a row for each trial, and those with a column for each parameter too.
 OF_TRIALS = (
     "coordinates",
     "held_coordinates",
@@ -328,7 +329,7 @@ class Part:
     columns: IntArray = array("Places of its parameters among all", "parameter", dtype=int)
 
     def prediction(self, whole: "Prediction") -> "Prediction":
-        """Its part of a prediction of the whole."""
+        """The prediction of this part, from that of the whole model."""
         values: dict[str, Any] = {}
         for name in (*OF_TRIALS, *JACOBIANS):
             value = getattr(whole, name)
@@ -338,23 +339,25 @@ class Part:
         return replace(whole, theta=whole.theta[self.columns], **values)
 
     def places(self, trials: Sequence[int] | IntArray) -> tuple[IntArray, IntArray]:
-        """Which of some trials of the whole are its own, and their places in it."""
+        """Which of some trials of the whole model are in this part, and their indices in it."""
         asked = np.asarray(trials, np.int64)
         rows = np.flatnonzero(np.isin(asked, self.trials))
         return rows, np.searchsorted(self.trials, asked[rows])
 
     def spread(self, values: Array, into: Array, rows: IntArray | None = None) -> None:
-        """Put derivatives by its parameters among those by all.
+        """Write derivatives by the parameters of this part into those by all parameters.
 
         Parameters
         ----------
-        values, into
-            Of k of its trials and of all, shape ``(k, ..., p)`` and ``(n, ..., p)``.
+        values
+            Derivatives in k trials of this part by its parameters, shape ``(k, ..., p)``.
+        into
+            Derivatives in all trials by all parameters, which are changed, ``(n, ..., q)``.
         rows
-            Rows that they go to; those of its trials if None.
+            Rows of `into` that are written; those of the trials of this part if None.
         """
         place = np.zeros((*values.shape[:-1], into.shape[-1]))
-        # What has no derivatives by its own parameters has none by others.
+        # A trial without equilibrium is NaN in all columns, not only in those of this part.
         place[np.isnan(values).all(axis=-1)] = np.nan
         place[..., self.columns] = values
         into[self.trials if rows is None else rows] = place
@@ -377,21 +380,20 @@ class LaxityModel:
     n_points
         About how many contact points to use; None for every vertex of the tibial surfaces.
     effects
-        Physical effects that extend the knee, in the order in which they act; those stored with the
-        knee, and its nuisances, if not given. Their amplitudes are parameters after those of the
+        Physical effects that extend the knee, in the order in which they act. By default those
+        stored with the knee, and its nuisances. Their amplitudes are parameters after those of the
         ligaments, with the values stored with the knee as the subject's own.
     order, phase
         As in `Laxity`, for effects that depend on when a trial was run.
     poses
-        Measured pose of each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``. The
-        equilibrium under its whole load is then followed from there, while a spring that holds the
-        knee lets go of it. Those that the knee is known
-        to take if not given; None where it states none, and paths begin unloaded in the scanned
-        pose.
+        Measured pose of each trial: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``. The full
+        load then acts from the beginning, and the equilibrium is followed from this pose while a
+        spring that holds the knee there lets go. By default the poses that are stated for the knee.
+        None where there are none: paths then begin in the scanned pose, without load.
     fallback_poses
-        Pose of each trial from which the equilibrium under its whole load is looked for where its
-        path has none, shape ``(n, 5)``, NaN where unknown: the measured ones, where the knee states
-        errors. With None such a trial has no equilibrium.
+        Pose of each trial from which the equilibrium under full load is searched for if its path
+        ends before, shape ``(n, 5)``, NaN where unknown. These are the measured poses, if the knee
+        states errors. With None such a trial has no equilibrium.
     contact
         ``"field"`` integrates pressure over the tibia (smooth, does not depend on the meshes);
         ``"mesh"`` is the paper's law with the vertices of both surfaces, for comparison: slow, and
@@ -437,7 +439,10 @@ class LaxityModel:
             raise ValueError('effects need contact="field": mesh contact has no derivatives')
         around = [x.name for x in self.knee.ligaments if x.wrap is not None]
         if around and self.contact == "mesh":
-            raise ValueError(f'{", ".join(around)} wrap, which needs contact="field"')
+            raise ValueError(
+                f"mesh contact takes straight ligaments, and {', '.join(around)} wrap around an "
+                'obstacle; use contact="field"'
+            )
         units = tied(self.knee)
         parameters = knee_parameters(self.knee, units, extension.parameters)
         derived = {"tied": units, "joint": joint, "paths": paths, "extension": extension}
@@ -456,7 +461,7 @@ class LaxityModel:
             return self
         made = self.protocol
         if not protocol.experiments:
-            # The trials are of the first of those of the model.
+            # A protocol without experiments belongs to the first experiment of the model.
             protocol = replace(protocol, experiments=made.experiments)
         return replace(
             self,
@@ -502,8 +507,8 @@ class LaxityModel:
         derivatives
             Whether the Jacobian is wanted.
         near
-            A prediction at a parameter vector close by, to start from. It makes the answer faster,
-            not different: what is found from it must stand the same tests.
+            A prediction at a parameter vector close by, to start from. It saves time and does not
+            change the result: equilibria found from it pass the same tests.
 
         Raises
         ------
@@ -545,7 +550,7 @@ class LaxityModel:
         return self._prediction(np.array(theta, float), settings, found, derivatives=derivatives)
 
     def setting(self, theta: Array, *, is_changed: bool = True) -> MechanicsInputs:
-        """Mechanics inputs at theta, with the effects (`is_changed`) or without.
+        """Mechanics inputs at theta, with the effects if `is_changed`.
 
         Raises
         ------
@@ -662,7 +667,7 @@ class LaxityModel:
             is_at_rest = (found.codes == CONVERGED) | (
                 self.paths.is_released & (found.reached > 0.0)
             )
-            # By lines first: a ligament moves every line that takes a share of it.
+            # Derivatives by lines come first: a parameter moves every line of its ligament.
             pose_jacobian = found.sensitivities[nodes][:, :, : 2 * setting.stiffness.size]
             if self.effects:
                 owned = setting.owned(len(self.knee.ligaments))
@@ -705,7 +710,7 @@ class LaxityModel:
 
 
 def parts_of(model: "LaxityModel") -> tuple[Part, ...]:
-    """The parts of a model whose protocol has several; empty where all trials are alike.
+    """The parts of a model, by rig, mounting and state; empty where all trials share them.
 
     Raises
     ------
@@ -764,7 +769,7 @@ def merged_prediction(
 
 
 def guesses(parts: Sequence[Part], near: "Prediction | None") -> list["Prediction | None"]:
-    """The prediction that each part starts from, of one of the whole."""
+    """The prediction that each part starts from, taken from one of the whole model."""
     if near is None:
         return [None] * len(parts)
     ends = np.cumsum([len(x.model.paths.flexion) for x in parts])[:-1]
@@ -838,14 +843,14 @@ def contact_of_trials(model: LaxityModel, prediction: Prediction) -> ContactPlac
 
 
 def menisci_of_trials(model: LaxityModel, prediction: Prediction) -> ContactPlaces:
-    """What the menisci do in all trials of a model of one part, in their predicted poses."""
+    """The load on the menisci in all trials of a model of one part, in their predicted poses."""
     setting = model.setting(prediction.theta)
     flexion = setting.flexion[model.paths.trial_node]
     return meniscus_places(*model.surfaces(setting), flexion, prediction.poses)
 
 
 def observed_slopes(model: LaxityModel, prediction: Prediction) -> Array:
-    """Derivatives of what is measured by the coordinates of the pose, shape ``(n, 5, 5)``."""
+    """Derivatives of the measured coordinates by the true ones, shape ``(n, 5, 5)``."""
     if model.parts:
         whole = np.zeros((len(prediction.codes), 5, 5))
         for x in model.parts:
@@ -859,7 +864,8 @@ def observed_slopes(model: LaxityModel, prediction: Prediction) -> Array:
 def model_for_tests(knee: Knee, tests: Protocol | Laxity) -> LaxityModel:
     """The model of a knee under these tests, set up as for a fit to them.
 
-    A knee that states the poses of its fit begins at those, also in measured trials.
+    If the knee states the poses of an earlier fit, equilibria are searched for from these, also
+    where the trials were measured.
     """
     trials = tests.protocol if isinstance(tests, Laxity) else tests
     model = LaxityModel(knee=knee, protocol=trials)
