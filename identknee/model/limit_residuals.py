@@ -1,4 +1,4 @@
-"""Residuals of limits of plausibility: one for each limit and knee, whatever number of trials."""
+"""Residuals of limits of plausibility: one for each limit, however many trials there are."""
 
 import re
 from collections.abc import Sequence
@@ -29,20 +29,21 @@ from identknee.runs.errors import ValueRefused
 from identknee.subject.menisci import MENISCI
 from identknee.subject.plausibility import CONTACT, TENSION, Limit
 
-# The smooth maximum lies above the largest value by at most so much times the logarithm of how many
-# there are: 0.3 N of 24 trials. A trial given twice raises it by 0.07 N.
+# The smooth maximum of n values exceeds the largest by at most this times ln(n): 0.3 N for 24
+# trials. A trial given twice raises it by 0.07 N.
 SOFTNESS = {"N": 0.1, "%": 0.005}
 VARUS = LOADS.index("varus_moment_Nm")
 NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?")
 UNITS_OF_LOADS = {"moment": ("Nm", "N·m"), "force": ("N",)}
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
-# A ligament eight standard deviations from its strength has a smaller residual, and no slope.
+# Residuals below this, about eight standard deviations below the strength, count as zero: the slope
+# would divide by them.
 NEGLIGIBLE = 1e-8
 
 
 @declared
 class LimitAtFit:
-    """A limit of plausibility and what a fit has there."""
+    """A limit of plausibility, and the value at a fit."""
 
     name: str = entry("What is limited")
     form: str = entry("Strength (largest over trials), within (mean over trials), or normal")
@@ -64,11 +65,11 @@ class LimitResiduals:
     model
         The model under the protocol of the data.
     limits
-        The limits; those of which no trial is under the loads that they are about say nothing.
+        The limits. Those for loads that no trial is under are left out.
     is_everywhere
-        Whether a standard load without equilibrium leaves its limit out, as in a search that begins
-        anywhere; all residuals are infinite otherwise. Trials of the data without one are left out
-        anyway: their own residuals count.
+        Whether a standard load without equilibrium gives no residual, as in a search that begins
+        anywhere; otherwise all residuals are infinite then. Trials of the data without equilibrium
+        are always left out here: the residuals of the table count them.
 
     Raises
     ------
@@ -114,7 +115,7 @@ class LimitResiduals:
 
     @property
     def n(self) -> int:
-        """How many limits there are."""
+        """Number of limits."""
         return len(self.limits)
 
     def residuals(self, theta: Array) -> Array:
@@ -131,20 +132,20 @@ class LimitResiduals:
             _residual(limit, value)[1] if np.isfinite(value) else 0.0
             for limit, value in zip(self.limits, self.values(theta), strict=True)
         ]
-        # Most slopes take longer than a simulation, and most limits are far from reached.
+        # Slopes take longer than a simulation, and few limits are near enough to need them.
         slopes = self._found(theta, has_slopes=True, wanted=[x != 0.0 for x in by_value])
         rows = [factor * row for factor, (_, row) in zip(by_value, slopes, strict=True)]
         return np.array(rows).reshape(self.n, theta.size)
 
     def values(self, theta: Array) -> Array:
-        """What is limited: smooth maximum, mean, or value under the standard load, ``(n,)``.
+        """The limited values: smooth maximum, mean, or value under the standard load, ``(n,)``.
 
-        NaN where no trial that counts has an equilibrium.
+        NaN where none of the trials of a limit has an equilibrium.
         """
         return np.array([value for value, _ in self._found(theta, has_slopes=False)])
 
     def at_fit(self, theta: Array) -> tuple[LimitAtFit, ...]:
-        """Each limit and what the model has there."""
+        """Each limit with the value of the model."""
         found = zip(self.limits, self.values(theta), self.residuals(theta), strict=True)
         return tuple(
             LimitAtFit(
@@ -162,7 +163,7 @@ class LimitResiduals:
     def _found(
         self, theta: Array, *, has_slopes: bool, wanted: Sequence[bool] | None = None
     ) -> list[tuple[float, Array]]:
-        """Value and derivatives of what each limit is about; zeros where it is not wanted."""
+        """Value and derivatives of the quantity of each limit; zeros where it is not wanted."""
         touched = [x for i, x in enumerate(self._counts) if not self._members[i]]
         in_contact = np.flatnonzero(np.any(touched, axis=0)).tolist() if touched else []
         of_trials = _Loads(self.model, theta, has_slopes=has_slopes, in_contact=in_contact)
@@ -187,7 +188,7 @@ class LimitResiduals:
 
 
 class _Loads:
-    """Tensions, strains and contact of all trials at one theta, each computed when it is wanted."""
+    """Tensions, strains and contact of all trials at one theta, each computed on first use."""
 
     def __init__(
         self, model: LaxityModel, theta: Array, *, has_slopes: bool, in_contact: Sequence[int]
@@ -201,7 +202,7 @@ class _Loads:
     def reduced(
         self, limit: Limit, members: tuple[int, ...], counts: BoolArray
     ) -> tuple[float, Array]:
-        """What a limit is about, and its derivatives; NaN where no trial has an equilibrium."""
+        """The quantity of a limit and its derivatives; NaN where no trial has an equilibrium."""
         values, slopes = self._by_trial(limit.what, members)
         if limit.less:
             other, other_slopes = self._by_trial(limit.less, members)
@@ -225,7 +226,7 @@ class _Loads:
     def _by_trial(self, what: str, members: tuple[int, ...]) -> tuple[Array, Array]:
         """A quantity in every trial, shapes ``(n, k)`` and ``(n, k, p)``.
 
-        Of tensions k is 1, the sum over members; of strains it is their number.
+        For tensions k is 1, the sum over members; for strains k is the number of members.
         """
         owner, _, kind = what.rpartition(".")
         if owner == CONTACT:
@@ -249,7 +250,7 @@ class _Loads:
     def _computed(self, kind: str) -> tuple[Array, Array]:
         model, made = self.model, self.prediction
         if kind == "contact":
-            # What a compartment bears, whether cartilage or meniscus passes it on.
+            # The whole load of a compartment, through cartilage and meniscus.
             values = compartment_forces(made)
             slopes = np.zeros((*values.shape, self.n_parameters))
             if self.has_slopes:
@@ -272,7 +273,7 @@ class _Loads:
 
 
 def _members(model: LaxityModel, limit: Limit) -> tuple[int, ...]:
-    """Places of the ligaments that a limit is about; none for contact."""
+    """Indices of the ligaments of a limit; none for contact."""
     owner = limit.what.rpartition(".")[0]
     if owner == CONTACT:
         return ()

@@ -19,17 +19,21 @@ from identknee.subject.knee import Knee, KnownPose, pose_at
 
 @declared
 class MeasuredFrames:
-    """The frames between which poses are measured, loads act and flexion is prescribed.
+    """The frames of the femur and of the tibia as measured.
 
-    Of the femur and of the tibia, in this order. Poses of the model are those between these frames;
-    insertions and surfaces are known in the frames of the geometry.
+    Poses are measured, loads act and flexion is prescribed between these frames. Insertions and
+    surfaces are known in the frames of the geometry, which may differ.
     """
 
-    turns: Array = array("Their axes in those of the geometry, one a column", "bone", "3", "3")
-    shifts: Array = array("Their origins there", "bone", "axis", unit="mm")
+    turns: Array = array(
+        "Axes of the measured frames in the frames of the geometry, as columns", "bone", "3", "3"
+    )
+    shifts: Array = array(
+        "Origins of the measured frames in the frames of the geometry", "bone", "axis", unit="mm"
+    )
 
     def lines(self, lines: LineLigaments) -> LineLigaments:
-        """Lines between insertions in the frames of the geometry, in these."""
+        """Lines, given in the frames of the geometry, in the measured frames."""
         femoral, tibial = self.to_measured(lines.femoral, 0), self.to_measured(lines.tibial, 1)
         centre, axis = np.array(lines.obstacle_centre), np.array(lines.obstacle_axis)
         for bone in range(2):
@@ -48,11 +52,11 @@ class MeasuredFrames:
         return replace(contact, points=self.to_measured(contact.points, 1), menisci=menisci)
 
     def field(self, field: DistanceField) -> DistanceField:
-        """The femur's distance, for poses of its measured frame."""
+        """The distance field of the femur, for poses of its measured frame."""
         return replace(field, turn=self.turns[0], shift=self.shifts[0])
 
     def pose(self, flexion: float, pose: Array) -> Array:
-        """The pose (5,) between these frames where that between those of the geometry is given."""
+        """The pose (5,) between the measured frames, from that between those of the geometry."""
         placed = place(flexion, pose)
         between = placed.to_femur(self.shifts[1][None])[0] - self.shifts[0]
         turn: Array = self.turns[0].T @ placed.rotation @ self.turns[1]
@@ -60,7 +64,7 @@ class MeasuredFrames:
         return between_frames
 
     def centres(self, centres: Array) -> Array:
-        """Contact forces and their centres (n, k, 7), those in the frames of the geometry."""
+        """Contact forces and their centres (n, k, 7), with centres in the geometry's frames."""
         tibial, femoral = self.to_bone(centres[..., 1:4], 1), self.to_bone(centres[..., 4:], 0)
         return np.concatenate([centres[..., :1], tibial, femoral], axis=-1)
 
@@ -99,7 +103,7 @@ def placements(values: Array) -> tuple[Array, Array]:
         As in `frames_at`, shape ``(k, 12)``.
     """
     turns, shifts = np.moveaxis(values.reshape(-1, 2, 2, 3), 2, 0)
-    # Loaded late: it takes longer than a simulation.
+    # Imported here, because the import takes longer than a simulation.
     from scipy.spatial.transform import Rotation
 
     made = Rotation.from_rotvec(np.radians(turns.reshape(-1, 3))).as_matrix()
@@ -109,19 +113,19 @@ def placements(values: Array) -> tuple[Array, Array]:
 def motions(turns: Array, shifts: Array) -> Array:
     """Motion of contact between nearly equal frames, shape ``(k, 12)``.
 
-    Small rotation vectors and shifts [rad, mm] that move places of the femoral frame within the
-    femur, then the tibia's within the tibial frame.
+    Each row has the small rotation vector and shift [rad, mm] by which points of the femoral frame
+    move in the femur, then those by which points of the tibia move in the tibial frame.
 
     Parameters
     ----------
     turns, shifts
-        Of `placements`, the first frames of each of k pairs and the second ones in turn.
+        From `placements`, first and second frames of each of k pairs in turn.
     """
     back = np.swapaxes(turns, 2, 3)
     into_first, into_second = back[::2, 0], back[1::2, 1]
     moved = shifts[1::2] - shifts[::2]
     turned = np.stack([into_first @ turns[1::2, 0], into_second @ turns[::2, 1]])
-    # Turned so little, a rotation is its antisymmetric part.
+    # The rotation vector of a small rotation is its antisymmetric part.
     femur, tibia = 0.5 * np.stack(
         [
             turned[..., 2, 1] - turned[..., 1, 2],

@@ -21,10 +21,10 @@ from identknee.model.residuals import HeldTrials, LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry
 
-# Of the differences that give the stiffness at a measured pose [rad, mm].
+# Steps of the central differences for the stiffness at a measured pose [rad, mm].
 STEPS = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4])
 
-LEVER = 20.0  # mm, what a moment is divided by to be compared with a force
+LEVER = 20.0  # lever over which a moment is compared with a force [mm]
 SCALE = np.array([LEVER, LEVER, 1.0, 1.0, 1.0])
 
 
@@ -32,43 +32,44 @@ SCALE = np.array([LEVER, LEVER, 1.0, 1.0, 1.0])
 class MissingWrench:
     """Generalised forces that are missing in n trials: of varus, internal [N mm], x, y, z [N].
 
-    They hold no more than the residuals do, in newtons. Contact is so stiff that noise alone asks
-    for hundreds of newtons along its normals: only what lies outside is fit to be shown. NaN in
-    trials that lack a measured coordinate or did not converge.
+    They carry the information of the residuals, as forces. Contact is so stiff that noise alone
+    demands hundreds of newtons along its normals, so only the part outside these directions is
+    worth showing. NaN in trials that lack a measured coordinate or did not converge.
     """
 
     wrench: Array = array("Missing forces of each trial", "trial", "5")
     covariance: Array = array("Covariance of their errors", "trial", "5", "5")
     outside: Array = array(
-        "Their part outside the directions in which contact presses, moments compared with forces "
-        "over a lever of 20 mm",
+        "The part outside the directions in which contact presses; moments are compared with "
+        "forces over a lever of 20 mm",
         "trial",
         "5",
     )
     outside_covariance: Array = array("Covariance of its errors", "trial", "5", "5")
     poses: Array = array(
-        "Where it is missing in each trial: varus, internal [rad], x, y, z [mm]", "trial", "5"
+        "Pose of each trial at which it is missing: varus, internal [rad], x, y, z [mm]",
+        *("trial", "5"),
     )
 
 
 def missing_wrench(
     problem: LaxityResiduals, theta: Array, sd: Array, correlation: float
 ) -> MissingWrench:
-    """What is missing in every trial: the Hessian times the way from the predicted pose.
+    """The wrench that is missing in every trial: the Hessian times the residual displacement.
 
-    The Hessian is that of the predicted pose, where contact is well defined. For data counted from
-    the unloaded pose it is what is missing beyond what is missing there.
+    The Hessian is that at the predicted pose, where contact is well defined. For data counted from
+    the unloaded pose it is the wrench beyond that missing in the unloaded trial.
 
     Parameters
     ----------
     problem
         The model and the data.
     theta
-        Where, shape ``(p,)``.
+        Parameters, shape ``(p,)``.
     sd
         Standard deviation of each value, shape ``(n, 5)``.
     correlation
-        What the errors of a trial share.
+        Correlation of the errors within a trial.
 
     Raises
     ------
@@ -87,10 +88,10 @@ def missing_wrench(
 
 
 def wrench_response(model: LaxityModel, prediction: Prediction) -> Array:
-    """Change of the coordinates of each trial with a wrench that acts besides, ``(n, 5, 5)``.
+    """Change of the coordinates of each trial with an additional wrench, ``(n, 5, 5)``.
 
-    The generalised forces are those of `MissingWrench`. Of trials that did not converge it is what
-    a knee of stiffness 1 in every direction would do.
+    The generalised forces are those of `MissingWrench`. In trials that did not converge the Hessian
+    counts as the identity.
 
     Raises
     ------
@@ -108,18 +109,18 @@ def wrench_response(model: LaxityModel, prediction: Prediction) -> Array:
 def wrench_at_measured_poses(
     model: LaxityModel, laxity: Laxity, theta: Array, sd: Array, correlation: float
 ) -> MissingWrench:
-    """What is missing in every trial for equilibrium at its measured pose.
+    """The wrench that is missing in every trial for equilibrium at its measured pose.
 
-    The gradient of the energy at that pose, less the load. It is defined whether or not the model
-    has an equilibrium, and differs from `missing_wrench` by its curvature on the way. A compartment
-    that does not touch there could press as it does where a spring holds the knee near that pose.
+    It is the gradient of the energy at that pose, less the load. It is defined whether or not the
+    model has an equilibrium, and differs from `missing_wrench` by second-order terms. A compartment
+    that does not touch there is taken to press as it does where a spring holds the knee nearby.
 
     Parameters
     ----------
     model, laxity
         The model, and data with absolute coordinates.
     theta
-        Where, shape ``(p,)``.
+        Parameters, shape ``(p,)``.
     sd, correlation
         As for `missing_wrench`.
     """
@@ -150,7 +151,7 @@ def wrench_at_measured_poses(
 def unbalanced_load(model: LaxityModel, prediction: Prediction) -> Array:
     """Gradient of the energy less the load in the poses of a prediction, shape ``(n, 5)``.
 
-    Zero in equilibrium; what would have to act on the tibia besides elsewhere [N mm, N].
+    Zero in equilibrium; elsewhere the additional load on the tibia that would balance it [N mm, N].
     """
     if model.parts:
         whole = np.empty((len(prediction.codes), 5))
@@ -174,15 +175,15 @@ def unbalanced_load(model: LaxityModel, prediction: Prediction) -> Array:
 
 @declared
 class _MadeOf:
-    """What turns errors of readings into errors of a wrench."""
+    """Matrices and noise that turn errors of readings into errors of a wrench."""
 
     stiffness: Array = array("Change of the wrench with the readings", "trial", "5", "5")
-    outside: Array = array("What leaves contact out of a wrench", "trial", "5", "5")
+    outside: Array = array("Matrix that removes contact from a wrench", "trial", "5", "5")
     sd: Array = array("Standard deviation of the readings", "trial", "5")
-    correlation: float = entry("What the errors of a trial share")
+    correlation: float = entry("Correlation of the errors within a trial")
 
     def missing(self, is_whole: BoolArray, wrench: Array, poses: Array) -> MissingWrench:
-        """The wrench with its errors, NaN but where a trial is whole."""
+        """The wrench with its errors; NaN where a trial lacks a measured coordinate."""
         shared = np.full((5, 5), self.correlation)
         np.fill_diagonal(shared, 1.0)
         errors = self.sd[:, :, None] * shared * self.sd[:, None]
@@ -198,14 +199,15 @@ class _MadeOf:
 
 
 def outside_contact(compartment: IntArray, *contacts: ContactPlaces) -> Array:
-    """What leaves the directions in which contact presses out of a wrench, shape ``(5, 5)``.
+    """Matrix that removes the directions in which contact presses from a wrench, ``(5, 5)``.
 
     Parameters
     ----------
     compartment
-        Of each contact point.
+        Compartment of each contact point.
     contacts
-        Contact in one pose or several: each compartment presses as in the first where it touches.
+        Contact in one or several poses. The direction of a compartment is taken from the first pose
+        in which it touches.
     """
     pressed: dict[int, Array] = {}
     for contact in contacts:
@@ -221,8 +223,8 @@ def outside_contact(compartment: IntArray, *contacts: ContactPlaces) -> Array:
 
 
 def along_plateau(pose: Array) -> Array:
-    """Anterior and lateral force and internal moment in tibial axes, of a wrench, ``(3, 5)``."""
-    # Both the pose and its forces are counted in the axes of the flexed tibia before it turns.
+    """Matrix to the anterior and lateral force and internal moment in tibial axes, ``(3, 5)``."""
+    # Poses and forces are given in femoral axes turned with flexion, before varus and rotation.
     to_tibia = rotation_matrix(0.0, float(pose[0]), float(pose[1])).T
     rows = np.zeros((3, 5))
     rows[:2, 2:] = to_tibia[[0, 2]]

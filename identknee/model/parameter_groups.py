@@ -46,7 +46,7 @@ def with_priors(parameters: Parameters, priors: Mapping[str, StatedPrior]) -> Pa
 
 @declared
 class ParameterGroups:
-    """Parameter groups with one stiffness scale and strain offset: several ligaments or one."""
+    """Units of calibration: a group of ligaments, or one, with one stiffness and one strain."""
 
     names: tuple[str, ...] = entry("Names of the u units, in the order of their first ligaments")
     member: Array = entry(
@@ -66,7 +66,7 @@ class ParameterGroups:
 
     @property
     def n(self) -> int:
-        """How many units there are."""
+        """Number of units."""
         return len(self.names)
 
     def stiffness(self, values: Array) -> Array:
@@ -78,13 +78,13 @@ class ParameterGroups:
         return np.asarray(self.member @ values + self.offset)
 
     def strain_upper_limits(self, strains: Array) -> Array:
-        """The largest strain of each unit [%] at which no member exceeds its own, ``(u,)``."""
+        """The largest strain of each unit [%] at which no ligament exceeds `strains`, ``(u,)``."""
         allowed = np.where(self.member > 0.0, (strains - self.offset)[:, None], np.inf)
         return np.asarray(allowed.min(axis=0))
 
 
 def tied(knee: Knee) -> ParameterGroups:
-    """The parameter groups of a knee: its ligament groups, and its other ligaments alone.
+    """The units of calibration of a knee: its ligament groups, then each ligament in none.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def tied(knee: Knee) -> ParameterGroups:
     strain = np.array([x.reference_strain_pct for x in knee.ligaments])
     alone = member.sum(axis=0) == 1.0
     total = stiffness @ member
-    # A ligament alone has its whole stiffness, also where that is zero.
+    # A stiffness of zero must not divide by zero where a ligament is its own unit.
     weights = np.where(member @ alone > 0.0, 1.0, stiffness / np.maximum(member @ total, 1e-300))
     mean = (weights * strain) @ member
     return ParameterGroups(
@@ -123,9 +123,9 @@ def knee_parameters(
     knee
         The subject.
     units
-        Its ligaments, those of a group as one.
+        Its units of calibration.
     amplitudes
-        Those of the effects; None without any.
+        Amplitudes of the effects; None without effects.
     """
     parameters = ligament_parameters(
         units.names, units.stiffness_kN.tolist(), units.reference_strain_pct.tolist()
@@ -143,7 +143,10 @@ def knee_parameters(
 
 
 def lines_by_units(owned: Array, share: Array, tied: ParameterGroups) -> Array:
-    """Parameters of the lines by those of the units in their units, shape ``(2m, 2u)``."""
+    """Derivatives of the lines' stiffness [N] and strain by those of the units [kN, %].
+
+    Shape ``(2m, 2u)``, stiffnesses first.
+    """
     m, u = len(owned), tied.n
     units = np.zeros((2 * m, 2 * u))
     units[:m, :u] = PER_KN * ((owned * share[:, None]) @ tied.by_stiffness)

@@ -60,7 +60,7 @@ class Parameters:
 
     @property
     def n(self) -> int:
-        """How many there are."""
+        """Number of parameters."""
         return len(self.names)
 
     @property
@@ -99,17 +99,17 @@ class Parameters:
         return np.where(self.is_log, self.prior_sd * np.abs(self.center), self.prior_sd)
 
     def to_working(self, theta: Array) -> Array:
-        """Thetas, shape ``(..., n)``, with the logarithm of those whose prior is lognormal.
+        """Working coordinates of thetas, shape ``(..., n)``: logarithms where priors are lognormal.
 
-        In these coordinates every prior is normal, and the posterior is nearer to a normal one.
+        In these coordinates every prior is normal, and the posterior is nearer to a normal density.
         """
-        # A stiffness of 0 is as far away as can be.
+        # A stiffness of 0 becomes minus infinity.
         with np.errstate(divide="ignore"):
             return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
 
     def from_working(self, working: Array) -> Array:
         """Thetas from their working coordinates, shape ``(..., n)``."""
-        # Beyond e^700 a number overflows; such a theta is out of any bounds.
+        # exp overflows just above 700, and such a value is outside all bounds.
         logs = np.minimum(np.where(self.is_log, working, 0.0), 700.0)
         return np.where(self.is_log, np.exp(logs), working)
 
@@ -135,7 +135,7 @@ class Parameters:
         )
 
     def with_fixed(self, names: Sequence[str], values: ArrayLike) -> "FreeParameters":
-        """The parameters but those called `names` left free, these fixed at their `values`.
+        """The parameters with those called `names` fixed at their entries of `values`, ``(n,)``.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class FreeParameters:
         return values
 
     def restrict(self, values: Array) -> Array:
-        """The part of the free parameters of values by parameter, ``(..., n)`` of ``(..., p)``."""
+        """The entries of the free parameters in values ``(..., p)`` of all parameters."""
         return np.asarray(values[..., list(self.free_indices)])
 
 

@@ -19,7 +19,7 @@ from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
-# A trial with more of its contact force near a rim than this is worth a word to the user.
+# Share of the contact force near a rim above which a trial is reported.
 NOTEWORTHY_RIM_SHARE = 0.05
 # In the order of the kernel's codes.
 OUTCOMES = (
@@ -134,15 +134,15 @@ class Prediction:
 
     @property
     def all_converged(self) -> bool:
-        """Whether every trial has one."""
+        """Whether every trial has an equilibrium."""
         return bool(self.is_converged.all())
 
     @property
     def rim_share(self) -> Array:
         """Share of each trial's contact force that acts within 3 mm of a rim, shape ``(n,)``.
 
-        NaN for mesh contact. A prediction near a rim is kept: losing it would end a set of
-        parameters without any data.
+        NaN for mesh contact. A trial near a rim still has a prediction: without one, the parameters
+        would be rejected by the extent of the surfaces and not by the data.
         """
         return _rim_share(self)
 
@@ -162,7 +162,7 @@ class Prediction:
         return stability_margins(self.hessians)
 
 
-# Asked for more than once of the same prediction, and slower to find than a pose.
+# Several checks ask for it, and it takes longer than a pose.
 @lru_cache(maxsize=2)
 def _rim_share(found: Prediction) -> Array:
     if found.rims is None:
@@ -181,15 +181,16 @@ def solve_beyond_folds(
 ) -> Equilibria:
     """The equilibria at the nodes of `paths`; beyond folds from each trial's own pose.
 
-    The path to a trial may end, or its unloaded knee lie loose, for a small error of the geometry
-    where the knee that was measured had a pose. Its whole load is then put on the knee there.
+    A small error of the geometry may end the path to a trial, or leave the unloaded knee without a
+    stable pose, although the measured knee had one. The full load then acts at the trial's own pose
+    from the beginning.
 
     Parameters
     ----------
     paths, start, knee, how
         As for `identknee.mechanics.equilibria.solve`.
     fallback_poses
-        Pose of each trial, shape ``(n, 5)``, NaN where none is known; None for none at all.
+        Pose of each trial, shape ``(n, 5)``, NaN where unknown; None if no pose is known.
     """
     found = solve(paths, start, *knee, **how)
     if fallback_poses is None:

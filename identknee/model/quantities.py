@@ -38,7 +38,7 @@ FORMS = (
     f"that force, {CONTACT}.medial_x_mm{AT}TRIAL and so on with lateral, y and z; the same of "
     f"{MENISCUS} where the model has menisci; or a coordinate such as varus_deg{AT}TRIAL"
 )
-# Of one model at one theta, many quantities are asked for.
+# Thetas remembered: callers ask for many quantities of one model at one theta.
 _KEPT = 64
 
 
@@ -72,7 +72,7 @@ class PredictedQuantity:
     model: LaxityModel = entry(
         "The model; its protocol has the trial, which need not be one of the data's"
     )
-    what: str = entry('What it is, for example ``"ACL.tension_N"``')
+    what: str = entry('Name without the trial, for example ``"ACL.tension_N"``')
     trial: str = entry("Name of the trial")
     name: str = field(init=False)
     unit: str = field(init=False)
@@ -91,9 +91,9 @@ class PredictedQuantity:
             object.__setattr__(self, name, value)
 
     def value(self, prediction: Prediction) -> float:
-        """Its value in a prediction of the model; NaN where there is none.
+        """Value of the quantity in a prediction of the model.
 
-        That is in a trial without equilibrium, and for the place of contact where nothing touches.
+        NaN in a trial without equilibrium, and for the place of contact where nothing touches.
         """
         kind, i, j = self._place
         if kind in (CONTACT, MENISCUS):
@@ -106,10 +106,10 @@ class PredictedQuantity:
         return float(prediction.coordinates[self._trial, i])
 
     def evaluate(self, theta: Array) -> tuple[float, Array]:
-        """Its value and gradient, shape ``(p,)``; NaN where there is none.
+        """Value and gradient of the quantity, shape ``(p,)``; NaN where it has no value.
 
-        Quantities at one theta share one simulation, that of the model's residuals where they were
-        asked for last.
+        All quantities at one theta share a simulation, also with the residuals of the model if
+        these were evaluated there last.
 
         Raises
         ------
@@ -140,7 +140,7 @@ COORDINATE = "coordinate"
 
 
 def quantity_place(model: LaxityModel, what: str) -> tuple[str, int]:
-    """Kind of a predicted quantity, and its place among the structures or the compartments.
+    """Kind of a predicted quantity, and its index among the structures or the compartments.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def quantity_place(model: LaxityModel, what: str) -> tuple[str, int]:
 
 
 def _place(model: LaxityModel, what: str) -> tuple[str, int, int]:
-    """Kind of a quantity, and where among those of its kind it stands."""
+    """Kind of a quantity, and its one or two indices among quantities of that kind."""
     owner, dot, kind = what.rpartition(".")
     if dot and kind in (TENSION, STRAIN):
         return kind, index_of(owner, structure_names(model), "ligament"), 0
@@ -189,7 +189,7 @@ def quantity_named(model: LaxityModel, name: str) -> PredictedQuantity:
 
 
 def force_names(model: LaxityModel, trials: Sequence[str]) -> list[str]:
-    """Names of the tensions of all ligaments in trials, those of a group as one."""
+    """Names of the tensions of all ligaments in some trials; the lines of a group count as one."""
     return [f"{x}.{TENSION}{AT}{trial}" for trial in trials for x in model.tied.names]
 
 
@@ -198,7 +198,7 @@ def ligament_forces(
 ) -> list[PredictedQuantity]:
     """The force of every ligament in every trial of the model's protocol, or of another one.
 
-    Ligaments of a group are one. All of them at one theta cost one simulation.
+    The lines of a group count as one. All forces at one theta take one simulation.
     """
     under = model if protocol is None else model.with_protocol(protocol)
     return [quantity_named(under, x) for x in force_names(under, under.protocol.trials)]
