@@ -44,11 +44,12 @@ from identknee.runs.words import (
 )
 from identknee.subject.plausibility import BUTLER, FAILURE_PCT, strengths_by_name
 
-# Share of a parameter's range: this close to an end it lies on it.
+# Share of a parameter's range within which it counts as at a bound.
 AT_END = 1e-6
-# Rise of the deviance: fits as good as one another at 95 %, and fits that are the same.
+# Rise of the deviance within which a fit is as good (95 % quantile of chi-square with one degree of
+# freedom), and within which it is the same minimum.
 AS_GOOD, SAME = 3.84, 0.1
-# Typical steps (3 kN, 2 %) between parameter sets that are not the same.
+# Typical steps (3 kN, 2 %) from which on two parameter sets differ.
 APART = 0.1
 MISTAKES = "check signs, units and side of the data; otherwise the model may lack something"
 # Share of the objective, and objective: ends that are the same, also where a search stops early.
@@ -58,10 +59,10 @@ N_DRAWS = 100
 NOTEWORTHY = 0.02
 # Probability of a misfit by noise alone below which intervals are conditional on it.
 REJECTED = 0.05
-# Joint distance of a group of nuisances from their prior that is reported: 3 standard
-# deviations of one of them, shared by all groups that are looked at.
+# P-value below which the distance from a prior is reported: that of 3 standard deviations of a
+# normal value, with Bonferroni's correction for all groups or ligaments.
 BEYOND_PRIOR = 0.0027
-TINY = 1e-12
+TINY = 1e-12  # avoids a division by zero
 
 
 def misfit_probability(square: float, n_values: int, n_parameters: int) -> float:
@@ -76,9 +77,10 @@ def misfit_probability(square: float, n_values: int, n_parameters: int) -> float
 
 
 def conditional_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
-    """Whether data and priors of nuisances reject a fit, so that its intervals are conditional.
+    """Findings if data and priors of nuisances reject a fit, so that its intervals are conditional.
 
-    What is improbable at 0.001 is rejected at 0.05, and said once; what is gross is said too.
+    A misfit that `misfit_findings` calls improbable is not reported twice; a gross one is reported
+    too.
 
     Parameters
     ----------
@@ -95,13 +97,13 @@ def conditional_findings(square: float, n_values: int, n_parameters: int) -> tup
 
 
 def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:
-    """Whether a fit leaves more than noise of the stated size would.
+    """A finding if the misfit is larger than noise of the stated size explains.
 
     Parameters
     ----------
     square
-        Sum of the squared residuals in units of their noise; what it is where there is no
-        prediction, inf, is not judged.
+        Sum of the squared residuals in units of their noise. Infinity, where there is no
+        prediction, gives no finding.
     n_values, n_parameters
         Values measured, and parameters fitted to them.
     """
@@ -120,7 +122,7 @@ def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Fi
 
 
 def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
-    """Whether fewer values were measured than parameters are fitted to them."""
+    """A finding if fewer values were measured than parameters are fitted to them."""
     if n_values >= n_parameters:
         return ()
     said = "1 value was" if n_values == 1 else f"{n_values} values were"
@@ -133,12 +135,12 @@ def too_few_findings(n_values: int, n_parameters: int) -> tuple[Finding, ...]:
 
 
 def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Finding, ...]:
-    """Whether a fit to data of unstated noise leaves more than any instrument should err by.
+    """A finding for data without stated noise; another if the misfit exceeds errors of instruments.
 
     Parameters
     ----------
     mm, deg
-        Root-mean-square of what the fit leaves; None or NaN where no such coordinate was measured.
+        Root-mean-square residual; None or NaN where no coordinate in this unit was measured.
     """
     sizes = {
         f"rmse_{unit}": size
@@ -158,7 +160,7 @@ def unstated_misfit_findings(mm: float | None, deg: float | None) -> tuple[Findi
 def bound_findings(
     theta: Array, parameters: Parameters, fixed: Sequence[str] = ()
 ) -> tuple[Finding, ...]:
-    """Which fitted parameters lie at a bound: there the bound decided, not the data."""
+    """A finding if fitted parameters lie at a bound, so that the bound limits the fit."""
     margin = AT_END * (parameters.upper - parameters.lower)
     standing = [
         (name, float(end))
@@ -181,13 +183,13 @@ def bound_findings(
 
 
 def parameters_at_zero(theta: Array, parameters: Parameters) -> tuple[str, ...]:
-    """Names of the parameters that stand at a lower bound of zero, as what is absent does."""
+    """Names of the parameters at a lower bound of zero, where a structure or effect is absent."""
     zero = (theta <= 0.0) & (parameters.lower == 0.0)
     return tuple(x for x, is_zero in zip(parameters.names, zero, strict=True) if is_zero)
 
 
 def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> tuple[Finding, ...]:
-    """Whether fits from several starts agree.
+    """A finding if fits from several starts do not agree.
 
     Parameters
     ----------
@@ -204,7 +206,7 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         return ()
     best = int(np.argmin(deviances))
     rises = deviances - deviances[best]
-    # Starts may end at different nuisances: only parameters of interest are compared.
+    # Fits may differ in nuisances and still agree: only parameters of interest are compared.
     asked = parameters.is_of_interest
     away = np.max((np.abs(thetas - thetas[best]) / typical_steps(parameters))[:, asked], axis=1)
     rivals = np.flatnonzero((rises <= AS_GOOD) & (away > APART))
@@ -242,10 +244,10 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
 def infeasible_proportion(
     problem: Problem, theta: Array, *, n_draws: int = N_DRAWS, seed: int = 0
 ) -> Proportion:
-    """How many parameter sets that fit about as well as `theta` have no prediction.
+    """Proportion of parameter sets that fit about as well as `theta` and have no prediction.
 
-    They are drawn from the normal density around theta whose precision is that of the data and the
-    priors, within the bounds.
+    The sets are drawn from the normal density around theta with the precision of data and priors,
+    and clipped to the bounds.
 
     Raises
     ------
@@ -265,7 +267,7 @@ def infeasible_proportion(
 
 
 def feasibility_findings(problem: Problem, theta: Array) -> tuple[Finding, ...]:
-    """Whether the feasibility boundary of the model, and not the data, makes limits near a fit."""
+    """A finding if parameter sets near a fit have no prediction, which cuts intervals off."""
     lost = infeasible_proportion(problem, theta)
     if lost.value < NOTEWORTHY:
         return ()
@@ -320,7 +322,7 @@ SHIFT_UNITS = {"mm": "mm", "deg": "deg", "N": "N", "Nm": "N·m"}
 
 
 def shift_words(name: str) -> tuple[str, str]:
-    """Unit of a nuisance, and what of its group it moves.
+    """Unit of a nuisance, and words for its component, such as an axis.
 
     Examples
     --------
@@ -339,25 +341,25 @@ def shift_words(name: str) -> tuple[str, str]:
     return unit, "" if what == ["offset"] else f" in {' '.join(what)}"
 
 
-# Specimens differ: twice the mean strength is beyond any, and no laxity test should come near it.
+# Times the mean strength from which a force is implausible: no specimen is that strong.
 BEYOND = 2.0
-# Balanced knees without varus moment press both compartments alike to within 67 N; one side alone
-# with so much more [N] and less than such a share on the other is none.
+# Difference between the compartments [N] above which contact is one-sided, if the lighter one also
+# has less than this share. In balanced knees without varus moment they differ by up to 67 N.
 APART_N, LEAST_SHARE = 400.0, 0.1
 CONTACT_SOURCE = "balanced knees: within 67 N, Gustke 2014, doi:10.1016/j.arth.2013.10.020"
-# A ligament with at most so much of the load that its prior would give it in the same poses carries
-# nothing, where that load is at least so large [N]: less no laxity test can tell.
+# A ligament is idle if its load is at most this share of the load at its prior in the same poses,
+# and the latter is at least this large [N]: no laxity test can tell smaller loads.
 IDLE_SHARE, LEAST_LOAD_N = 0.05, 10.0
 IDLE = "ligament-idle"
-# So many ligaments, all so many times as stiff as stated and so much alike, have loads of another
-# unit.
+# Loads are taken for those of another unit if there are at least so many ligaments, their mean
+# stiffness is so many times the stated one, and the ratios differ by at most such a factor.
 LEAST_LIGAMENTS, MANY_TIMES, ALIKE_TIMES = 3, 5.0, 4.0
 VARUS, DISTRACTION = LOADS.index("varus_moment_Nm"), LOADS.index("distraction_force_N")
 
 
 @declared
 class LigamentLoad:
-    """The largest load of a ligament, its bundles together, beside that of its prior."""
+    """The largest load of a ligament, its bundles together, and that at its prior."""
 
     name: str = entry("Name of the ligament or of its group")
     members: tuple[str, ...] = entry("Names of its lines")
@@ -366,14 +368,14 @@ class LigamentLoad:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it carries next to nothing, and by its prior would carry something."""
+        """Whether the ligament carries next to nothing, but would carry a load at its prior."""
         return (
             self.prior_force_N >= LEAST_LOAD_N and self.force_N <= IDLE_SHARE * self.prior_force_N
         )
 
 
 def ligament_loads(model: LaxityModel, prediction: Prediction) -> tuple[LigamentLoad, ...]:
-    """The load of every ligament in a prediction; none where no trial has an equilibrium."""
+    """The load of every ligament in a prediction; empty where no trial has an equilibrium."""
     if not prediction.is_converged.any():
         return ()
     n = model.n_ligament_parameters
@@ -396,10 +398,10 @@ def ligament_loads(model: LaxityModel, prediction: Prediction) -> tuple[Ligament
 
 
 def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
-    """Ligaments that carry nothing, and others far from their prior: no misfit of the model.
+    """Findings on ligaments that carry nothing, and on others that are far from their prior.
 
-    Their distance from the prior is that of stiffness and reference strain together; as improbable
-    as 3 standard deviations of one parameter, all ligaments counted.
+    The distance from the prior is that of stiffness and reference strain together, and is reported
+    if it is as improbable as 3 standard deviations, corrected for the number of ligaments.
     """
     p, found = model.parameters, list[Finding]()
     n = model.tied.n
@@ -427,9 +429,10 @@ def ligament_findings(model: LaxityModel, prediction: Prediction) -> tuple[Findi
 
 
 def common_scale_findings(model: LaxityModel, theta: Array) -> tuple[Finding, ...]:
-    """That all ligaments are many times stiffer or more compliant than stated, and alike so.
+    """A finding if all ligaments are many times stiffer or more compliant than stated.
 
-    Loads in another unit do that: only contact, and limits, tell them from a soft knee.
+    Loads in another unit have this effect; only contact and limits of plausibility distinguish them
+    from a soft or stiff knee.
     """
     n = model.tied.n
     times = theta[:n] / model.parameters.center[:n]
@@ -444,7 +447,7 @@ def common_scale_findings(model: LaxityModel, theta: Array) -> tuple[Finding, ..
 
 
 def idle_parameters(model: LaxityModel, prediction: Prediction) -> tuple[str, ...]:
-    """Parameters of ligaments that carry nothing: no bound of theirs limits a fit."""
+    """Parameters of ligaments that carry nothing; bounds of these do not limit a fit."""
     return tuple(
         f"{x.name}.{quantity}"
         for x in ligament_loads(model, prediction)
@@ -454,7 +457,7 @@ def idle_parameters(model: LaxityModel, prediction: Prediction) -> tuple[str, ..
 
 
 def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Finding, ...]:
-    """Forces, strains and contact of a fit that lie beyond published values of any knee.
+    """Findings on forces, strains and contact of a fit beyond published values of any knee.
 
     Trials without equilibrium are left out.
     """
@@ -470,7 +473,7 @@ def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Fi
 
 @declared
 class StrengthTension:
-    """Tension of a ligament, all its parts together, and the load at which such ligaments fail."""
+    """Tension of a ligament, its bundles together, and the load at which such ligaments fail."""
 
     tension: Array = entry("Tension in each trial [N], shape ``(n,)``")
     failure_N: float = entry("Mean load at failure", unit="N")  # noqa: N815 - newton
@@ -478,9 +481,10 @@ class StrengthTension:
 
 
 def strength_tensions(model: LaxityModel, tension: Array) -> dict[str, StrengthTension]:
-    """Of each ligament with a published strength what it carries, from the tensions of its parts.
+    """Tension and strength of each ligament with a published strength, by its name.
 
-    `tension` has shape ``(n, n_ligaments)``.
+    `tension` of each line has shape ``(n, n_ligaments)``; lines whose names begin with that of the
+    ligament are added up.
     """
     names = [x.name for x in model.knee.ligaments]
     found = {}
@@ -509,7 +513,7 @@ def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
 
 def _strains(model: LaxityModel, prediction: Prediction, tension: Array) -> Iterator[Finding]:
     strain = np.where(tension > 0.0, strains_of(model, prediction), np.nan)
-    # What carries nothing is not strained: that it is long, or absent, is another finding.
+    # Idle ligaments have a finding of their own.
     idle = {x for load in ligament_loads(model, prediction) if load.is_idle for x in load.members}
     for k, ligament in enumerate(model.knee.ligaments):
         own = strain[:, k]
@@ -534,7 +538,7 @@ def _contact(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
     medial, lateral = np.median(forces, axis=0)
     if abs(medial - lateral) <= APART_N or min(medial, lateral) > LEAST_SHARE * (medial + lateral):
         return
-    # Without a minus sign where there is none.
+    # Subtracting from zero avoids "-0".
     compression = 0.0 - float(np.median(model.protocol.loads[is_without_varus, DISTRACTION]))
     values = {
         "medial_N": medial,
@@ -555,14 +559,14 @@ class Fitted:
     model
         The model of the data.
     laxity, table
-        The data that the fit rests on, and the whole table with the trials that it does not.
+        The data that were fitted, and the whole table including trials that were left out.
     start, prediction
         Parameters of the model where the search began, shape ``(p,)``, and the prediction of the
         model where it ended.
     held
-        Names of parameters that were not asked for: fixed ones and nuisances.
+        Names of fixed parameters and of nuisances.
     misfit
-        What was found of the misfit and of active bounds.
+        Findings on the misfit and on active bounds.
     """
 
     model: LaxityModel
@@ -580,15 +584,15 @@ def check_fit(
 ) -> tuple[Finding, ...]:
     """Findings about a fit, the most severe first.
 
-    Conventions of the table are looked at first: a broken one explains trials that contradict one
-    another, which are then not listed.
+    If a convention of the table is broken, trials that contradict each other are not listed,
+    because the convention explains them.
 
     Parameters
     ----------
     fitted
         The fit.
     others
-        What else was found, such as trials lost and starts that disagree.
+        Other findings, such as trials lost and starts that disagree.
     """
     model, laxity, theta = fitted.model, fitted.laxity, fitted.prediction.theta
     whole = fitted.table
@@ -605,7 +609,7 @@ def check_fit(
     if conventions := convention_findings(model, whole, fitted.start, theta):
         return without_repeats((*conventions, *table, *found))
     rows = row_findings(model, laxity, theta, fixed=fitted.held)
-    # Trials that the table alone contradicts, where fits begin at its poses.
+    # A fit that begins at measured poses may not show a wrong pose: the table itself is asked too.
     named = {x.where for x in rows}
     by_table = end_point_findings(whole) if model.poses is not None else ()
     by_table = tuple(x for x in by_table if x.where not in named)
@@ -615,14 +619,14 @@ def check_fit(
 def check_unfitted(
     model: LaxityModel, laxity: Laxity, others: Sequence[Finding]
 ) -> tuple[Finding, ...]:
-    """What the table alone says where no fit could begin, beside what else was found."""
+    """Findings from the table alone, where no fit could begin, after `others`."""
     trials = end_point_findings(laxity)
     conventions = convention_findings(model, laxity, model.parameters.start)
     return without_repeats((*conventions, *table_findings(model, laxity), *trials, *others))
 
 
 def table_findings(model: LaxityModel, laxity: Laxity) -> tuple[Finding, ...]:
-    """What is wrong with the whole table; of frames and signs where fits begin at its poses."""
+    """Findings on the whole table; those on frames and signs only where fits begin at its poses."""
     if model.poses is None:
         return load_findings(laxity)
     return (*frame_findings(model), *load_sign_findings(laxity), *load_findings(laxity))

@@ -26,15 +26,15 @@ from identknee.runs.declare import array, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
 
-# A misfit that noise alone would leave less often than this is doubtful, and one that is so many
-# times what noise leaves (three times its standard deviation) speaks of a mistake in the data.
+# Probability below which a misfit is doubtful, and times the misfit of noise above which a mistake
+# in the data is likely: residuals three times as large as the noise.
 IMPROBABLE, GROSS = 1e-3, 9.0
-# Twice what simple laxity devices leave against a robot, about 1 mm and 2.5 deg.
+# Twice the error of simple laxity devices against a robot, which is about 1 mm and 2.5 deg.
 MOST_MM, MOST_DEG = 2.0, 5.0
-# Share of its length in the scan below which a ligament is too short in half of the trials; one may
-# be, as the posterior capsule in deep flexion, and not half of all.
+# Share of its length in the scan below which a ligament is too short. Some may be, such as the
+# posterior capsule in deep flexion, but not half of all ligaments in half of the trials.
 SHORT = 0.75
-# The coordinate on which each load works.
+# The coordinate along which each load acts.
 WORKS_ON = (
     "internal_deg",
     "varus_deg",
@@ -42,17 +42,17 @@ WORKS_ON = (
     "distraction_mm",
     "lateral_shift_mm",
 )
-# What opposite loads move a knee by at the least for their sign to be beyond doubt [mm, deg].
+# Least difference between the poses under opposite loads that shows their sign [mm, deg].
 LEAST = 2.0
 
 
 def load_findings(laxity: Laxity) -> tuple[Finding, ...]:
-    """That no trial has a load, as where the columns of loads were left out."""
+    """A finding if no trial has a load, as in a table without columns of loads."""
     return () if laxity.protocol.loads.any() else (finding("no-loads", "data"),)
 
 
 def frame_findings(model: LaxityModel) -> tuple[Finding, ...]:
-    """That the measured poses put the insertions of half the ligaments far too close together."""
+    """A finding if measured poses put the insertions of half the ligaments far too close."""
     ligaments = model.knee.ligaments
     setting = model.setting(model.parameters.start)
     if setting.measured is None:
@@ -81,11 +81,10 @@ def frame_findings(model: LaxityModel) -> tuple[Finding, ...]:
 
 
 def load_sign_findings(laxity: Laxity) -> tuple[Finding, ...]:
-    """The columns in which opposite loads move the tibia the wrong way, from the table alone.
+    """A finding for each load under which the tibia moves the wrong way, from the table alone.
 
-    A load moves the tibia its own way wherever equilibrium is stable. Only columns are named in
-    which most pairs of opposite loads move it the other way, and by more than any stray load or
-    noise explains.
+    At a stable equilibrium a load moves the tibia in its own direction. A column is named only if
+    most pairs of opposite loads move it the other way, by more than a stray load or noise explains.
     """
     pairs = opposite_pairs(laxity.protocol)
     axis = dominant_loads(laxity.protocol).axis
@@ -114,28 +113,30 @@ def load_sign_findings(laxity: Laxity) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-# How often a clean table may be accused, shared by looks at whole trials and at single values.
+# Probability of naming a trial of a clean table, for tests of trials and of values together.
 LEVEL = 0.01
-# Share of the trials that may be blunders; where more stand out it is the model that is wrong.
+# Share of the trials that may be outliers; if more stand out, the model is wrong.
 MOST_SHARE = 0.1
-# Relative size below which a residual or singular value is rounding and judges nothing.
+# Relative size below which a residual or a singular value is rounding.
 LEAST_LEFT = 1e-6
-# Mean square in units of the noise below which data are free of noise, and rounding is left.
+# Mean square in units of the noise below which data are free of noise, and only rounding is left.
 LEAST_SQUARE = 1e-6
-# Fewest trials of one load direction that show how coordinates change with flexion.
+# Fewest trials of one load direction from which a course over flexion is fitted.
 LEAST_TRIALS = 4
-# How often a table may be accused for which the courses are right; they are nearly so, not quite.
+# The same as LEVEL for courses over flexion: smaller, since coordinates follow them only nearly.
 TABLE_LEVEL = 1e-4
-# Loads of one direction may differ by this share of them and still be one end point.
+# Share by which loads of one direction may differ and still be one end point.
 ALIKE = 0.25
-# A sentence lists values of a trial from this many standard errors on, and so many at most.
+# Standard errors from which a sentence lists a value of a trial, and the most values it lists.
 LISTED, MOST_LISTED = 3.0, 3
 BUDGET = 80
-# Part of a parameter's range that counts as at a bound; typical steps that count as a change.
+# Share of a parameter's range that counts as at a bound; typical steps that count as a change.
 AT_END, WORTH = 1e-6, 0.1
 # Standard deviation of a normal error over its median absolute size.
 NORMAL = 1.4826
-# What contradicts a trial, by the code of the finding.
+# Least standard deviation assumed of residuals [mm, deg], so that an exact fit divides by no zero.
+LEAST_SCALE = 1e-6
+# What a trial is inconsistent with, by the code of the finding.
 AGAINST = {
     "trial-against-fit": "the prediction of the fit to the other trials",
     "trial-against-course": "the course of the other trials over flexion",
@@ -162,10 +163,10 @@ class SuspiciousRow:
 class LeaveOneOut:
     """Leave-one-out residuals of a fit, for any subset of the measured values.
 
-    A value that is wrong by ``x`` adds ``x`` times its column to what is left. With one more
-    parameter for each value left out this is exact for a linear model. The inner products of
-    what is left of the columns are ``own - explained' explained``; no matrix is as large as the
-    number of values squared.
+    A value that is wrong by ``x`` adds ``x`` times its column to the residuals. To leave values out
+    is to fit one more parameter for each, which is exact for a linear model. Columns projected off
+    the parameters have the inner products ``own - explained' explained``, so that no dense matrix
+    of all values by all values is needed.
     """
 
     own: Any = entry("Inner products of the columns themselves, sparse, shape ``(k, k)``")
@@ -173,9 +174,9 @@ class LeaveOneOut:
         "Parts of the columns that the parameters, and values left out, make up for",
         *("direction", "value"),
     )
-    left: Array = array("Inner products of what is left with the columns", "value")
-    square: float = entry("Sum of squares of what is left", unit="1")
-    degrees: int = entry("Degrees of freedom of it", unit="1")
+    left: Array = array("Inner products of the residuals with the columns", "value")
+    square: float = entry("Sum of squares of the residuals", unit="1")
+    degrees: int = entry("Their degrees of freedom", unit="1")
 
     @property
     def sizes(self) -> Array:
@@ -255,18 +256,18 @@ def suspicious_rows(
 ) -> list[SuspiciousRow]:
     """The trials that the others contradict, the worst first; none where there are too many.
 
-    One trial at a time is left out, each judged by a scale that it has no part in (an F test of
-    the whole trial and of each of its values, Bonferroni over all), then the rest are judged again
-    without it.
+    Each trial is compared with the residual variance without it, by an F test of the whole trial
+    and of each of its values, with Bonferroni's correction for all tests. The worst is left out,
+    and the others are tested again without it.
 
     Parameters
     ----------
     fit
-        What the fit leaves.
+        Residuals of the fit.
     trials, coordinates
         Trial and coordinate of each value, shape ``(k,)``.
     level
-        How often a clean table may be accused.
+        Probability of naming a trial of a clean table.
     """
     found: list[SuspiciousRow] = []
     names, values, is_own = _by_trial(trials)
@@ -274,7 +275,7 @@ def suspicious_rows(
         return found
     while names.size and fit.degrees > len(names) // 2:
         sizes = fit.sizes
-        # The values whose change the parameters and trials left out cannot make up for.
+        # Values whose error neither the parameters nor trials left out before can absorb.
         is_seen = is_own & (sizes[values] > LEAST_LEFT * sizes.max())
         falls = fit.falls(values, is_seen)
         p_values = _p_values_of(fit, np.where(is_seen, sizes[values], np.inf), values, falls)
@@ -302,7 +303,7 @@ def suspicious_rows(
 
 
 def _by_trial(trials: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """The trials (t,), the values of each (t, w), and which of these places hold one."""
+    """The trials (t,), the indices of their values (t, w), and which entries of these are used."""
     names, group, count = np.unique(trials, return_inverse=True, return_counts=True)
     order = np.argsort(group, kind="stable")
     values = np.zeros((names.size, count.max(initial=0)), dtype=np.int64)
@@ -312,7 +313,7 @@ def _by_trial(trials: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
 
 
 def _p_values_of(fit: LeaveOneOut, sizes: Array, values: IntArray, falls: Array) -> Array:
-    """Of each trial, as one of all trials and of all values; 1 where nothing can be said."""
+    """P-value of each trial, corrected for the number of tests; 1 where no test is possible."""
     counts = np.isfinite(sizes).sum(axis=1)
     single = (fit.left[values] ** 2 / sizes).max(axis=1)
     by_trial, by_value = _p_values(fit, falls, counts), _p_values(fit, single, np.ones_like(counts))
@@ -321,7 +322,7 @@ def _p_values_of(fit: LeaveOneOut, sizes: Array, values: IntArray, falls: Array)
 
 
 def _p_values(fit: LeaveOneOut, falls: Array, counts: IntArray) -> Array:
-    """Probability of so great a fall of the square by chance if so many values are left out."""
+    """P-value of the fall of the sum of squares when `counts` values are left out."""
     degrees, k = np.maximum(fit.degrees - counts, 1), np.maximum(counts, 1)
     rest = np.maximum(fit.square - falls, 0.0) / degrees
     is_known = rest > 0.0
@@ -330,11 +331,11 @@ def _p_values(fit: LeaveOneOut, falls: Array, counts: IntArray) -> Array:
 
 
 def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
-    """Trials that depart from the trend over flexion of others under their load and of all others.
+    """Trials that depart from the trend over flexion of the others.
 
-    Every coordinate is a straight line over flexion for each direction of load, bent alike for all
-    directions. This is for tables with one load a direction, such as end points of a robot; of
-    others nothing is said.
+    Every coordinate is fitted by a parabola over flexion, with an offset and a slope for each
+    direction of load and one curvature for all. This needs a table with one load for each
+    direction, such as end points of a robot; for others the result is empty.
     """
     rows, design = _courses_over_flexion(laxity.protocol)
     values = laxity.coordinates[rows]
@@ -354,7 +355,7 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
 
 
 def _courses_over_flexion(protocol: Protocol) -> tuple[IntArray, Array]:
-    """The trials that can be compared, and the course over flexion that each is on."""
+    """Rows of the trials that can be compared, and the design matrix of their courses."""
     found = dominant_loads(protocol)
     group = np.where(found.axis < 0, 0, np.sign(found.size) * (found.axis + 1)).astype(int)
     usable = [x for x in np.unique(group) if np.count_nonzero(group == x) >= LEAST_TRIALS]
@@ -369,16 +370,16 @@ def _courses_over_flexion(protocol: Protocol) -> tuple[IntArray, Array]:
 
 
 def _scale(values: Array, design: Array) -> float:
-    """Spread of what the courses leave, which one trial that is off cannot widen much."""
+    """Standard deviation of the residuals of a course, robust against single outliers."""
     left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
     free = np.sqrt(len(values) / (len(values) - np.linalg.matrix_rank(design)))
-    return max(float(1.4826 * np.median(np.abs(left)) * free), 1e-6)
+    return max(float(NORMAL * np.median(np.abs(left)) * free), LEAST_SCALE)
 
 
 def row_findings(
     model: LaxityModel, laxity: Laxity, theta: Array, *, fixed: Sequence[str] = ()
 ) -> tuple[Finding, ...]:
-    """The trials that a fit to all others contradicts, and the fit without them."""
+    """A finding for each trial that a fit to all others contradicts; the last has that fit."""
     rows = contradicted_rows(model, laxity, theta, fixed=fixed)
     if not rows:
         return ()
@@ -413,7 +414,7 @@ def row_findings(
 
 
 def end_point_findings(laxity: Laxity) -> tuple[Finding, ...]:
-    """The trials that the table alone contradicts, for where no model can be asked."""
+    """A finding for each trial that the table alone contradicts, without a model."""
     return trial_findings(suspicious_end_points(laxity), laxity, "trial-against-course")
 
 
@@ -435,7 +436,7 @@ def contradicted_rows(
     jacobian = compared.jacobian(theta)[
         :, [k for k, name in enumerate(own.names) if inside[k] and name not in fixed]
     ]
-    # A unit error in each coordinate of each trial; errors of one trial change no other's rows.
+    # Errors of one trial change the residuals of that trial only.
     unit = np.broadcast_to(np.eye(len(COORDINATES)), (laxity.n, *2 * [len(COORDINATES)]))
     columns = columns_by_trial(compared.weighted(unit), laxity.is_measured)
     whiten = np.ones(left.size) if is_stated else 1.0 / _scales(compared, theta)
@@ -446,7 +447,7 @@ def contradicted_rows(
 
 
 def columns_by_trial(rows: Array, is_measured: BoolArray) -> csr_array:
-    """How each measured value enters residuals that depend on those of its trial alone, sparse.
+    """Sparse derivatives of the residuals by the measured values, trial by trial.
 
     Parameters
     ----------
@@ -480,20 +481,20 @@ def trial_findings(
     then: tuple[str, Mapping[str, object]] = ("", {}),
     is_left_out: bool = False,
 ) -> tuple[Finding, ...]:
-    """Contradicted trials as findings, the trial's name as where.
+    """A finding for each contradicted trial, located by the name of the trial.
 
     Parameters
     ----------
     rows
-        What was found.
+        The contradicted trials.
     laxity
         The data.
     code
         ``trial-against-fit`` or ``trial-against-course``.
     then
-        What follows without all of them, as a sentence and its values; the last finding has it.
+        Sentence and values about the fit without all of them, for the last finding.
     is_left_out
-        Whether the result does not rest on them.
+        Whether the trials were left out of the fit.
     """
     found = []
     for row in rows:
@@ -528,7 +529,7 @@ def trial_findings(
 
 
 def _scales(compared: LaxityResiduals, theta: Array) -> Array:
-    """Standard deviation of every residual: as stated, or from what is left of its kind."""
+    """Standard deviation of every residual: as stated, or of all residuals in its unit."""
     laxity = compared.laxity
     measured = laxity.is_measured
     if laxity.sd is not None and not np.isnan(laxity.sd[measured]).any():
@@ -537,5 +538,5 @@ def _scales(compared: LaxityResiduals, theta: Array) -> Array:
     scales = np.ones(left.size)
     for kind in np.unique(compared.units):
         own = compared.units == kind
-        scales[own] = max(NORMAL * float(np.median(left[own])), AT_END)
+        scales[own] = max(NORMAL * float(np.median(left[own])), LEAST_SCALE)
     return scales
