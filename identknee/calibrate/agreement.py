@@ -22,13 +22,13 @@ from identknee.runs.declare import declared, entry
 from identknee.runs.record import Outcome
 
 N_DRAWS, BUDGET = 1999, 60
-# Columns of a Jacobian that are shorter than this share of the longest have no effect.
+# Share of the longest column of a Jacobian below which a parameter has no effect.
 NO_EFFECT = 1e-9
 
 
 @declared
 class TermAgreement:
-    """How one term of the evidence is fitted together with the others, and alone."""
+    """The fit of one term of the evidence, together with the other terms and alone."""
 
     name: str = entry("Name of the term")
     n: int = entry("Number of values", unit="1")
@@ -40,7 +40,7 @@ class TermAgreement:
 
     @property
     def rise(self) -> float:
-        """How much better it is fitted alone."""
+        """Fall of the deviance if the term is fitted alone."""
         return self.together - self.alone
 
 
@@ -77,10 +77,10 @@ def agreement(
 
     The measure is the parameter goodness of fit of Maltoni and Schwetz, equation 8.
 
-    Each term is fitted from the fit to all and from `starts`, with a copy of all parameters and
-    their priors of its own. How far terms that agree would differ is drawn from the model linear at
-    the fit to all, where parameters at a bound stay. If the terms are not even fitted alone, the
-    noise counts as larger, as they show it.
+    Each term is fitted alone from the fit to all and from `starts`, with its own copy of all
+    parameters and their priors. Differences between terms that agree are simulated with the model
+    linearised at the fit to all; there parameters at a bound are fixed. If even the single terms
+    are fitted worse than their noise allows, the noise is scaled up to match.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ def agreement(
     theta
         The best fit to all, shape ``(p,)``.
     terms
-        Which residuals each term has, by its name; two or more.
+        Indices of the residuals of each term, by its name; two terms or more.
     starts
-        Where fits to single terms begin beside `theta`: alone a term may have its minimum far off.
+        Further thetas where fits to single terms begin: the minimum of one term may be far away.
     seed
-        Of the draws.
+        Seed of the draws.
     """
     residuals, jacobian = problem.residuals(theta), problem.jacobian(theta)
     m = residuals.size - n_prior_rows(problem)
@@ -142,7 +142,7 @@ def agreement(
 
 
 def _alone(problem: Problem, rows: IntArray, starts: Sequence[Array]) -> float:
-    """The least deviance of some residuals; the search that came lowest goes on to its end."""
+    """The least deviance of some residuals; only the lowest of the short searches is completed."""
     term = SelectedResiduals(problem=problem, rows=rows)
     lowest = min((fit(term, x, budget=BUDGET) for x in starts), key=lambda x: x.objective)
     if lowest.outcome is Outcome.BUDGET:
@@ -151,7 +151,7 @@ def _alone(problem: Problem, rows: IntArray, starts: Sequence[Array]) -> float:
 
 
 def _basis(jacobian: Array) -> Array:
-    """Orthonormal directions of residuals that parameters can change, shape ``(m, r)``."""
+    """Orthonormal basis of the changes of residuals by the parameters, shape ``(m, r)``."""
     lengths = np.linalg.norm(jacobian, axis=0)
     columns = jacobian[:, lengths > NO_EFFECT * lengths.max(initial=0.0)]
     if not columns.size:

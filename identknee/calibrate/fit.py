@@ -1,6 +1,6 @@
-"""One verb for all optimizers: a problem and a start in, a fitted parameter set out.
+"""Fits of a problem from a start by any of the optimizers.
 
-Starts by name or from a file, and a fit with Student's t errors, stand here too.
+Also starts by name or from a file, and a fit with Student's t errors.
 """
 
 import os
@@ -74,7 +74,7 @@ class FitSettings(TypedDict, total=False):
 
 @declared
 class Fit:
-    """Where an optimizer ended, and how."""
+    """The result of an optimizer: the fitted parameters and how the search ended."""
 
     method: str = entry("Name of the optimizer")
     parameters: Parameters = entry("All parameters of the problem, fixed ones included")
@@ -147,8 +147,8 @@ def fit(
     problem
         What to fit.
     start
-        Theta to begin at, shape ``(n,)``; the centre of the box of first candidates for all
-        methods but least squares.
+        Theta to begin at, shape ``(n,)``. All methods but least squares begin with candidates from
+        a box around it.
     method
         ``"least-squares"``, ``"complex"``, ``"genetic"``, ``"particle-swarm"``, ``"cma-es"`` or
         ``"annealing"``. The same seed gives the same fit.
@@ -200,7 +200,7 @@ def fit_many(
     starts
         Where to begin, shape ``(n_starts, n)``.
     seed
-        Each fit gets a seed of its own from this one; it stands in the fit and repeats it alone.
+        Each fit gets a seed of its own from this one, which it records and which repeats it alone.
     executor
         Anything with an ordered ``map``; the fits are the same whichever it is.
     settings
@@ -262,7 +262,7 @@ def _fit(
     if outcome is Outcome.START_FAILED and n > 1:
         message = f"The model has no prediction at any of {simulations} around the start."
     gradient_norm = None
-    # Not counted, because theta was simulated already.
+    # The evaluator remembers the best theta, so that this is no further simulation.
     here = None if evaluator.best_theta is None else evaluator(evaluator.best_theta)
     if here is not None and here.is_finite:
         # A search without bounds may end outside them, where they do not hold it back.
@@ -287,7 +287,7 @@ def _fit(
 
 
 SUBJECT = "subject"
-# What messages and results call a start that was given as values.
+# Stands for the name of a start that was given as values.
 IN_MEMORY = "the values of start"
 FILE_LIMIT_MB = 1
 
@@ -303,7 +303,7 @@ def start_names() -> tuple[str, ...]:
     return (SUBJECT, *_published())
 
 
-# The name of a start, the path of its file, or values by parameter.
+# A start: its name, the path of a file, or values by parameter.
 StartLike = str | os.PathLike[str] | Mapping[str, Any]
 
 
@@ -429,7 +429,7 @@ def _published() -> dict[str, Any]:
 
 
 def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    # Not by recursion: a dotted key of a file may be deeper than that goes.
+    # No recursion: a dotted key in a file may be nested deeper than Python's limit.
     waiting = [*table.items()][::-1]
     while waiting:
         name, value = waiting.pop()
@@ -439,7 +439,7 @@ def _flat(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-# Of Student's t: tails heavy enough that a gross error in twenty values moves next to nothing.
+# Degrees of freedom of Student's t: one gross error in twenty values hardly moves the fit.
 DEGREES = 4.0
 MOST_FITS = 20
 ROUNDS = 50
@@ -452,24 +452,25 @@ def fit_student(
 ) -> Fit:
     """The maximum-likelihood fit for Student's t errors of unknown scale.
 
-    Iteratively reweighted least squares, each value weighted by its last residual, until no
-    scale changes by a thousandth. Nuisances keep their priors.
+    The fit is repeated with each value weighted by its last residual, until no scale changes by
+    more than a thousandth [1]_. Nuisances keep their priors.
 
     Parameters
     ----------
     problem
-        Its residuals in plain or in units of their noise, with rows for priors of nuisances.
+        The problem. Its residuals may be unweighted or in units of their noise.
     units
-        The unit of each residual of the data, 0 or 1, shape ``(m,)``; each has a scale of its own.
+        Which of two scales belongs to each residual of the data: 0 for mm, 1 for deg, ``(m,)``.
     start
-        Where the first fit begins, shape ``(n,)``.
+        Theta where the first fit begins, shape ``(n,)``.
     search
-        A fit of a problem from a start.
+        Fits a problem from a start.
 
     Returns
     -------
     fit
-        The last fit, with the simulations of all; its objective is in units of the scales.
+        The last fit, with the number of simulations of all fits. Its objective is in units of the
+        scales.
 
     References
     ----------
@@ -494,10 +495,10 @@ def fit_student(
 
 
 def student_scales(data: Problem, units: IntArray, theta: Array) -> tuple[Array, Array]:
-    """The scale of each unit's errors (2,), and the weight of each value (m,).
+    """The scale of the errors in each unit (2,), and the weight of each value (m,).
 
-    A scale is what the parameters leave of the weighted residuals, over the degrees of freedom that
-    they leave; 1 where nothing has that unit.
+    The square of a scale is the sum of the weighted squared residuals over their degrees of
+    freedom; it is 1 where no value has that unit.
     """
     residuals, is_there = data.residuals(theta), np.bincount(units, minlength=2) > 0
     scales, weights = np.ones(2), np.ones(units.size)

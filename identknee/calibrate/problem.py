@@ -1,4 +1,4 @@
-"""What is fitted: residuals as a function of parameters, their evaluation, scalar quantities."""
+"""Least-squares problems: residuals as functions of parameters, priors, evaluations, quantities."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
@@ -17,8 +17,8 @@ from identknee.runs.record import Outcome
 STIFFNESS_UNIT = "_kN"
 STRAIN_UNIT = "_pct"
 ROUNDING = 1e-13
-# A typical step that changes the residuals by less than this changes nothing: the squares of one
-# over it would overflow.
+# Change of the residuals by a typical step below which a parameter counts as without effect: the
+# square of its inverse would overflow.
 UNSEEN = 1e-100
 
 
@@ -39,7 +39,7 @@ def typical_steps(parameters: Parameters) -> Array:
 def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
     """Standard deviation of each parameter where all others are known, shape ``(n,)``.
 
-    Its typical step where that says nothing: where the residuals do not change with it.
+    Where the residuals do not change with a parameter, its typical step.
     """
     typical = typical_steps(parameters)
     size = np.linalg.norm(jacobian, axis=0)
@@ -51,7 +51,7 @@ def conditional_sds(jacobian: Array, parameters: Parameters) -> Array:
 def floors(parameters: Parameters) -> Array:
     """The least admissible value of each parameter, shape ``(n,)``.
 
-    Zero for stiffnesses and for whatever has a lognormal prior, minus infinity for the rest.
+    Zero for stiffnesses and for parameters with a lognormal prior, minus infinity for the rest.
     """
     positive = [
         is_log or name.endswith(STIFFNESS_UNIT)
@@ -63,7 +63,7 @@ def floors(parameters: Parameters) -> Array:
 def values_by_unit(
     parameters: Parameters, stiffness: ArrayLike, strain: ArrayLike, others: Array
 ) -> Array:
-    """Values for stiffnesses in kN, strains in % and all others, shape ``(n,)`` each or numbers."""
+    """Each parameter's value by its kind: stiffness in kN, strain in %, or another, ``(n,)``."""
     is_stiffness, is_strain = (
         np.array([name.endswith(unit) for name in parameters.names])
         for unit in (STIFFNESS_UNIT, STRAIN_UNIT)
@@ -94,7 +94,7 @@ class RestrictedProblem:
     problem
         The problem in all parameters.
     free
-        Its parameters that move, and the values of the others.
+        Its free parameters, and the values of the others.
     """
 
     problem: Problem
@@ -116,14 +116,14 @@ class RestrictedProblem:
 
 @declared
 class BoundedProblem:
-    """A problem whose parameters have bounds of their own.
+    """A problem with other bounds of its parameters.
 
     Attributes
     ----------
     problem
         The problem.
     parameters
-        Its parameters with the bounds wanted.
+        Its parameters with the other bounds.
     """
 
     problem: Problem
@@ -140,14 +140,14 @@ class BoundedProblem:
 
 @declared
 class SumOfTerms:
-    """A problem whose deviance is the sum of those of several, in the same parameters.
+    """A problem whose deviance is the sum of those of several problems in the same parameters.
 
     Attributes
     ----------
     terms
-        The problems by what speaks in them, in the order of their residuals.
+        The problems by the kind of evidence, such as `TABLE_TERM`, in the order of their residuals.
     sizes
-        How many residuals each has.
+        Number of residuals of each.
     """
 
     terms: Mapping[str, Problem]
@@ -155,7 +155,7 @@ class SumOfTerms:
 
     @property
     def parameters(self) -> Parameters:
-        """Those of every term."""
+        """The parameters, the same for every term."""
         return next(iter(self.terms.values())).parameters
 
     def residuals(self, theta: Array) -> Array:
@@ -231,7 +231,7 @@ class ProblemWithPriors:
     problem
         The problem.
     has_prior
-        Which parameters have such a residual, k of them, shape ``(n,)``; all where None.
+        Which parameters have a residual for their prior, shape ``(n,)``; all if None.
     """
 
     problem: Problem
@@ -244,7 +244,7 @@ class ProblemWithPriors:
 
     @property
     def places(self) -> IntArray:
-        """Places of the parameters with such a residual, shape ``(k,)``."""
+        """Indices of the parameters whose priors have a residual, shape ``(k,)``."""
         if self.has_prior is None:
             return np.arange(self.parameters.n)
         return np.flatnonzero(self.has_prior)
@@ -274,7 +274,7 @@ class ProblemWithPriors:
 
 
 def with_nuisance_priors(problem: Problem) -> Problem:
-    """The problem with a residual for the prior of each nuisance; itself where it has none."""
+    """The problem with a residual for the prior of each nuisance; unchanged without nuisances."""
     has_prior = ~problem.parameters.is_of_interest
     return ProblemWithPriors(problem=problem, has_prior=has_prior) if has_prior.any() else problem
 
@@ -285,7 +285,7 @@ def with_all_priors(problem: Problem) -> ProblemWithPriors:
 
 
 def with_priors_of(problem: Problem, other: Problem) -> Problem:
-    """The problem with residuals for the priors that another one has, of parameters it shares."""
+    """The problem with residuals for those of its parameters whose priors count in `other`."""
     if not isinstance(other, ProblemWithPriors):
         return problem
     names = [other.parameters.names[i] for i in other.places]
@@ -294,7 +294,7 @@ def with_priors_of(problem: Problem, other: Problem) -> Problem:
 
 
 def without_priors(problem: Problem) -> Problem:
-    """The problem with the residuals of its data alone."""
+    """The problem without residuals for priors."""
     return problem.problem if isinstance(problem, ProblemWithPriors) else problem
 
 
@@ -305,13 +305,13 @@ TABLE_TERM, LIGAMENT_TERM, NUISANCE_TERM = (
 )
 FORCE_TERM, SUPERPOSITION_TERM = "measured forces", "superposition"
 PLAUSIBILITY_TERM = "limits of plausibility"
-# What is believed of a knee and was not measured on it: no misfit of the data.
+# Terms about what is believed of any knee: their deviance is no misfit of measured data.
 BELIEFS = (LIGAMENT_TERM, PLAUSIBILITY_TERM)
 
 
 @declared
 class EvidenceTerm:
-    """A term of the deviance: what speaks about the knee, and how much of the misfit it has."""
+    """A term of the deviance: a kind of evidence about the knee, and its share of the misfit."""
 
     name: str = entry(
         "Laxity table, measured forces, superposition (in-situ forces), limits of plausibility, "
@@ -354,7 +354,7 @@ def misfit_square(problem: Problem, theta: Array) -> float:
 
 
 def limit_rows(problem: Problem) -> slice:
-    """Which residuals of the problem are those of limits of plausibility; none without."""
+    """Slice of the residuals that belong to limits of plausibility; empty without limits."""
     inner = innermost(problem)
     if not isinstance(inner, SumOfTerms) or PLAUSIBILITY_TERM not in inner.terms:
         return slice(0)
@@ -364,7 +364,7 @@ def limit_rows(problem: Problem) -> slice:
 
 
 def n_prior_rows(problem: Problem) -> int:
-    """How many of the last residuals of the problem are those of priors."""
+    """Number of residuals of priors, which are the last ones of the problem."""
     return problem.places.size if isinstance(problem, ProblemWithPriors) else 0
 
 
@@ -401,12 +401,12 @@ def with_bounds(problem: Problem, bounds: Mapping[str, tuple[float, float]]) -> 
 
 
 def with_room_doubled(problem: Problem, names: Sequence[str]) -> BoundedProblem:
-    """The problem with the room of the bounds of the parameters named doubled.
+    """The problem with bounds about twice as wide for the parameters named.
 
     A bound moves outward by its distance from zero, or by half the width of the range where that is
-    more: 0 to 40 kN becomes 0 to 80 kN, and -15 to 15 % becomes -30 to 30 %. What cannot be
-    negative stays positive: its lower bound is halved, and one of zero stays, as does the zero of a
-    nuisance, which is a sign.
+    more: 0 to 40 kN becomes 0 to 80 kN, and -15 to 15 % becomes -30 to 30 %. The lower bound of a
+    parameter that cannot be negative is halved. A lower bound of zero stays, also for a nuisance,
+    where it fixes the sign.
     """
     parameters = problem.parameters
     lower, upper = parameters.lower, parameters.upper
@@ -427,13 +427,13 @@ def with_room_doubled(problem: Problem, names: Sequence[str]) -> BoundedProblem:
     )
 
 
-# Singular values of a Jacobian below this share of the largest are rounding, not information.
+# Share of the largest singular value of a Jacobian below which one is rounding.
 RANK_TOLERANCE = 1e-10
 # Rank tolerance of the triangular factor of a step. Its columns are in conditional standard
 # deviations, which leaves rounding alone: a direction known to 1e10 of them still counts.
 STEP_RANK_TOLERANCE = 1e-12
-# Rank tolerance below which the data do not see a quantity, in conditional standard deviations,
-# with room for the error that the solver's tolerance leaves in the derivatives.
+# Rank tolerance below which the data do not determine a quantity, in conditional standard
+# deviations: above the error of derivatives by the solver's tolerance.
 UNSEEN_TOLERANCE = 1e-9
 # Rank tolerance of the information, as a share of its largest eigenvalue.
 EIGENVALUE_TOLERANCE = 1e-10
@@ -443,21 +443,20 @@ EIGENVALUE_TOLERANCE = 1e-10
 KINK_SHARE, KINK_DEVIANCE = 1e-6, 0.01
 
 
-# Least product of a step and the change of the gradient along it for a secant update, as a share
-# of what the Jacobian explains: below it the update would divide by rounding.
+# A secant update divides by the product of a step and the change of the gradient along it. Below
+# this share of the product that the Jacobian predicts, that is rounding and there is no update.
 LEAST_PRODUCT = 1e-8
-# Share of the largest eigenvalue of the curvature below which a step has no part along a direction.
+# Share of the largest eigenvalue of the curvature below which a step leaves a direction out.
 LEAST_EIGENVALUE = 1e-14
-# Parameters beyond which factorisations take most of the time of a search, and are saved where they
-# can be. Below, a search on kinks would go another way by rounding, and gain nothing.
+# Number of parameters above which factorisations dominate the time of a search, and are saved where
+# possible. Below it they save nothing, and their rounding changes the way of a search on kinks.
 LARGE = 128
-# Least ratio of smallest to largest diagonal entry at which the triangular factor of a square
-# stands for it.
+# Least ratio of the smallest to the largest diagonal entry of a Cholesky factor that is used.
 LEAST_ROOT = 1e-4
 
 
 def clear_root(square: Array) -> Array | None:
-    """The upper triangle whose square it is; None where rounding would count."""
+    """The upper Cholesky factor of a matrix; None where it is not clear of rounding."""
     with suppress(np.linalg.LinAlgError):
         root = np.asarray(np.linalg.cholesky(square).T)
         diagonal = np.diagonal(root)
@@ -471,25 +470,24 @@ class LinearisedResiduals(Hashable, Protocol):
 
     @property
     def theta(self) -> Array:
-        """Where, shape ``(n,)``."""
+        """The parameter vector, shape ``(n,)``."""
 
     @property
     def residuals(self) -> Array:
-        """In units of their noise, shape ``(m,)``."""
+        """Residuals in units of their noise, shape ``(m,)``."""
 
     @property
     def jacobian(self) -> Array:
-        """Their derivatives, shape ``(m, n)``."""
+        """Derivatives of the residuals, shape ``(m, n)``."""
 
 
 class Curvature:
     """Quasi-Newton estimate of the second-order term that Gauss-Newton omits.
 
-    They are the sum of the residuals times their second derivatives. Where they are not small
+    The term is the sum of the residuals times their second derivatives. Where it is not small
     beside the squared Jacobian, as in the bent valleys of uncertain geometry, Gauss-Newton steps
-    overshoot several times; a step that counts them lands where it means to. They are learned from
-    the change of the gradient between points, in a least-change secant update that takes nothing of
-    it which the Jacobian explains.
+    overshoot several times; with the term they do not. It is estimated from changes of the gradient
+    between points that the Jacobian does not explain, by a least-change secant update.
 
     References
     ----------
@@ -516,7 +514,7 @@ class Curvature:
         if product <= LEAST_PRODUCT * scale or scale == 0.0:
             return
         known = self._matrix @ step
-        # What was learned elsewhere counts less where it has grown too large.
+        # Sizing: an estimate from elsewhere that is too large here is scaled down first.
         size = float(abs(step @ known))
         share = min(1.0, float(abs(step @ wanted)) / size) if size > 0.0 else 1.0
         missing = wanted - share * known
@@ -552,10 +550,11 @@ class Curvature:
         return matrix, np.where(is_seen, slope / roots, 0.0)
 
 
+# Number of the last simulations that an evaluator keeps.
 REMEMBERED = 4
-# Share of the deviance: residuals without derivatives that change it by less differ by rounding.
+# Share of the deviance below which a jump of residuals without derivatives is rounding.
 LEAST_JUMP = 1e-6
-# In units of the noise: a search that comes so near to where another one ended would end there too.
+# Distance to the end of another search [units of the noise] within which one would end there too.
 NEAR = 0.1
 
 
@@ -571,7 +570,7 @@ class SearchEnded(Exception):  # noqa: N818 - not an error: it says how a search
 class Evaluation:
     """One simulation: residuals in units of their noise, and their exact derivatives."""
 
-    theta: Array = array("Where", "parameter", unit=OF_PARAMETER)
+    theta: Array = array("The parameter vector", "parameter", unit=OF_PARAMETER)
     residuals: Array = array(
         "Residuals; all infinite where the model has no prediction", "residual"
     )
@@ -601,10 +600,10 @@ class Evaluation:
 
 
 def jump(before: Evaluation, after: Evaluation) -> float:
-    """Change of the deviance by residuals that jump: they differ, and have no derivatives.
+    """Change of the deviance between two points by residuals that have no derivatives.
 
-    Only residuals without derivatives on both sides are looked at, such as those that say that a
-    trial has no equilibrium. 0 where they differ by rounding.
+    Such residuals are constant but for jumps, as those of trials without equilibrium. Only those
+    without derivatives at both points count. 0 where the change is rounding.
     """
     is_flat = ~before.jacobian.any(axis=1) & ~after.jacobian.any(axis=1)
     first, last = before.residuals[is_flat], after.residuals[is_flat]
@@ -627,12 +626,12 @@ class Evaluator:
     on_simulation
         Called with 1 after every simulation, for a progress bar.
     ends
-        Where other searches ended. One that is about to come to such a place, and has seen no lower
-        deviance, is left: it raises `SearchEnded`.
+        Evaluations where other searches ended. `SearchEnded` is raised near one of them that is at
+        least as low as the best so far, because this search would end there too.
     known
-        Evaluations of this problem made before. They count as simulations, and cost nothing.
+        Earlier evaluations of this problem. They count as simulations, but take no time.
     learns_curvature
-        Whether searches learn the curvature of the problem although its geometry is exact.
+        Whether searches estimate the second-order term also for a problem without nuisances.
     """
 
     def __init__(
@@ -654,7 +653,7 @@ class Evaluator:
         self.n_simulations = 0
         # Number of the simulation and deviance, at each improvement.
         self.history: list[tuple[int, float]] = []
-        # Of searches one after another.
+        # Kept for all searches that use this evaluator, one after another.
         is_bent = learns_curvature or not problem.parameters.is_of_interest.all()
         self.curvature = Curvature(problem.parameters.n) if is_bent else None
 
@@ -714,7 +713,7 @@ class Evaluator:
                 return known
         if self.budget is not None and self.n_simulations >= self.budget:
             raise SearchEnded(Outcome.BUDGET)
-        # Near an earlier search that ended at least as low there is nothing to be found.
+        # An earlier search ended nearby, and at least as low: this one would end there too.
         if self.n_simulations and any(
             sum_of_squares(x.jacobian @ (theta - x.theta)) <= NEAR**2
             for x in self._ends
@@ -738,7 +737,7 @@ class Evaluator:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Simulation:
-    """Residuals at a theta, and the derivatives once they were asked for."""
+    """Residuals at a theta, and their derivatives once they were needed."""
 
     theta: Array
     residuals: Array
@@ -793,7 +792,7 @@ UNITS = {"kN": "kN", "pct": "%", "mm": "mm", "deg": "deg", "N": "N"}
 
 
 class Quantity(Protocol):
-    """A number as a function of theta, with its derivatives."""
+    """A scalar function of theta with its derivatives."""
 
     @property
     def name(self) -> str:
@@ -816,7 +815,7 @@ class ParameterQuantity:
     parameters
         All parameters, in the order of theta.
     name
-        Name of the one meant.
+        Name of the parameter.
 
     Raises
     ------
@@ -832,7 +831,7 @@ class ParameterQuantity:
 
     @property
     def unit(self) -> str:
-        """Its unit: the last word of the name, where that is one."""
+        """The unit that the name ends in; empty where it ends in none."""
         return UNITS.get(self.name.rpartition("_")[2], "")
 
     @property
@@ -854,13 +853,13 @@ class UserQuantity:
     Attributes
     ----------
     name, unit
-        What to call it, and its unit.
+        Name and unit.
     function
-        Its value at theta, shape ``(n,)``; NaN where there is none.
+        Value at theta, shape ``(n,)``; NaN where it has none.
     gradient
-        Its derivatives at theta, shape ``(n,)``. Central differences take its place where it is
-        None: the function is then asked up to 6e-6 of a parameter outside the bounds too, and a
-        side without a value is left out.
+        Derivatives at theta, shape ``(n,)``. If None, central differences are used: the function is
+        then also evaluated slightly outside the bounds, by a relative step of 6e-6, and one-sided
+        differences are used where it has no value on the other side.
     """
 
     name: str
@@ -889,7 +888,7 @@ class UserQuantity:
                 values.append(there)
         if len(places) == 1:
             return np.nan
-        # With both sides the value in the middle drops out.
+        # A central difference does not use the value in the middle.
         low, high = (0, 1) if len(places) == 2 else (1, 2)
         return float((values[high] - values[low]) / (places[high] - places[low]))
 
@@ -901,9 +900,9 @@ class RestrictedQuantity:
     Attributes
     ----------
     quantity
-        Over all parameters.
+        The quantity of all parameters.
     free
-        The parameters that move, and the values of the others.
+        The free parameters, and the values of the others.
     """
 
     quantity: Quantity
@@ -931,8 +930,8 @@ def value_at(quantity: Quantity, theta: Array) -> tuple[float, Array]:
     Raises
     ------
     ValueError
-        If it has none there: its trial has no equilibrium, or the compartment of which it is the
-        centre of contact does not touch.
+        If it has no value there: its trial has no equilibrium, or it is the centre of contact of a
+        compartment that does not touch.
     """
     value, gradient = quantity.evaluate(theta)
     if not np.isfinite(value):
@@ -941,5 +940,5 @@ def value_at(quantity: Quantity, theta: Array) -> tuple[float, Array]:
 
 
 def unpredicted(quantity: Quantity) -> ValueError:
-    """The error that a quantity has no value at a fit."""
+    """The error to raise if a quantity has no value at a fit."""
     return ValueError(f"{quantity.name} has no prediction at the fit; leave it out")
