@@ -1,4 +1,4 @@
-"""Conventions that people break in tables, and which explains why a model does not fit one."""
+"""Broken conventions of tables, such as signs and units, that explain why a model does not fit."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -38,7 +38,7 @@ _LENGTHS = tuple(x for x in COORDINATES if x.endswith("_mm"))
 _ANGLES = tuple(x for x in COORDINATES if x.endswith("_deg"))
 _MOMENTS = tuple(x for x in LOADS if x.endswith("_Nm"))
 _FORCES = tuple(x for x in LOADS if x.endswith("_N"))
-# Lateral and medial, varus and valgus, internal and external change places on the other side.
+# Columns whose sign changes between a left and a right knee.
 _SIDED = ("lateral_shift_mm", "varus_deg", "internal_deg")
 _SIDED_LOADS = ("internal_moment_Nm", "varus_moment_Nm", "lateral_force_N")
 _UNITS = (
@@ -53,9 +53,9 @@ _UNITS = (
     (_FORCES, 4.44822, "pounds", "N"),
     (_FORCES, 9.80665, "kilograms", "N"),
 )
-# A smaller standard deviation than any instrument's must be in the unit that is to be changed.
+# Standard deviation [mm, deg] below that of any instrument: a smaller one is in the wrong unit too.
 LEAST_SD = 0.02
-# Poses of unloaded trials closer to zero than this [mm, deg] were set to zero.
+# Median of unloaded coordinates [mm, deg] below which the unloaded pose was probably set to zero.
 ZEROED = 1.0
 
 
@@ -66,19 +66,19 @@ class Convention:
     Attributes
     ----------
     what
-        What it does, as the subject of a sentence.
+        The change in words, as the subject of a sentence.
     order
-        Which of `COLUMNS` each column takes its values from, shape ``(10,)``.
+        For each of `COLUMNS` the column that its values are taken from, shape ``(10,)``.
     factors
-        What they are multiplied by, shape ``(10,)``.
+        Factor of each column, shape ``(10,)``.
     flexion
-        What flexion is multiplied by.
+        Factor of flexion.
     zero
-        What coordinates are counted from; None for what the table says.
+        Zero of the coordinates, as in `Laxity`; None for that of the table.
     translations
-        Definition that the translations have; components are what they should be.
+        Definition by which translations were written; they are converted to components.
     states
-        State of each trial; None for what the table says.
+        State of each trial; None for that of the table.
     """
 
     what: str
@@ -90,10 +90,10 @@ class Convention:
     states: tuple[str, ...] | None = None
 
     def applied(self, laxity: Laxity) -> Laxity | None:
-        """The table put right; None where it would be the same or break a rule of tables.
+        """The changed table; None if it would be the same or is no valid table.
 
-        Standard deviations keep their size where the unit changes, but for those too small to be
-        in the unit that the table should have.
+        If a unit changes, standard deviations keep their numbers, unless they are too small to be
+        in the correct unit.
         """
         n = len(COORDINATES)
         order, factors = np.array(self.order), np.array(self.factors)
@@ -113,7 +113,7 @@ class Convention:
             and np.array_equal(flexion, protocol.flexion_deg)
             and states == protocol.state
         )
-        # Columns of which one was not measured were not exchanged.
+        # An exchange with a column that was not measured would move the blank cells.
         moved = np.isnan(coordinates) != np.isnan(laxity.coordinates)
         if (same and zero == laxity.zero) or moved.any():
             return None
@@ -134,10 +134,10 @@ class Convention:
 
 
 def conventions_of(laxity: Laxity, structures: Sequence[str] = ()) -> tuple[Convention, ...]:
-    """The changes that would put right what people get wrong in a table such as this.
+    """Changes of a table that would correct common mistakes.
 
-    Signs of columns, of whole motions and of all loads; units; the other side of the body; columns
-    exchanged; definitions of translations; what coordinates are counted from; and, in a table with
+    They concern signs of columns, of motions and of loads, units, the other side of the body,
+    exchanged columns, definitions of translations, the zero of coordinates, and, in a table with
     ligaments cut, states of the knee.
 
     Parameters
@@ -228,9 +228,9 @@ def _zeros(laxity: Laxity) -> Iterator[Convention]:
 
 
 def _of_states(protocol: Protocol, structures: Sequence[str]) -> Iterator[Convention]:
-    """A cut that was not made, another structure cut, and the labels of two states exchanged.
+    """Changes of states: a cut that was not made, another structure cut, and two states exchanged.
 
-    The fraction of a partial cut is estimated, so that it needs no other label.
+    States with partial cuts are left out, because the fraction that is cut is estimated anyway.
     """
     if protocol.state is None:
         return
@@ -283,31 +283,31 @@ def _scaled(names: Sequence[str], factor: float) -> tuple[float, ...]:
     return tuple(factor if x in names else 1.0 for x in COLUMNS)
 
 
-# Share of the misfit that a convention has to remove, and share of it that the linear model has to
-# leave at most before a fit is made.
+# Share of the misfit that a change must remove to be named, and largest share that it may leave by
+# the linear model to be fitted.
 REMOVED, PROMISED = 0.9, 0.6
 MOST_FITS = 6
 BUDGET = 80
-# Share of the measured trials that may have no equilibrium in the table put right.
+# Share of the measured trials that may have no equilibrium in the changed table.
 MOST_LOST = 0.2
-# Another convention that leaves no more than so many times the misfit is as good.
+# Times the misfit of the best change up to which another change is as good.
 AS_GOOD = 1.5
-# Where no noise is known, the misfit that is left is taken for it: so many times must be removed.
+# Least fall of the misfit, as a factor, where no noise is known.
 FALL = 2.0
-# A physical cause is fitted if the linear model promises no more than so many times the misfit.
+# Times the misfit of a change up to which the linear model of a rival is worth a fit.
 LIKELY = 3.0
 MOST_CAUSES = 3
-# How far the measured frames may lie from those of the geometry.
+# Standard deviations of the measured frames around those of the geometry, as a rival cause.
 FRAMES_DEG, FRAMES_MM = 5.0, 5.0
-# mm and deg; by less no instrument errs.
+# Least standard deviation of any instrument [mm, deg].
 LEAST_NOISE = 0.02
-# What a stated noise is worth, if it is right to 20 %.
+# Degrees of freedom of a stated noise, which is taken to be right to 20 %.
 STATED_DEGREES = 0.5 / STATED_SPREAD**2
 
 
 @declared
 class BrokenConvention:
-    """A convention whose change removes nearly all of the misfit, and leaves a plausible one."""
+    """A change of the table that removes nearly all of the misfit, and leaves a plausible one."""
 
     what: str = entry("The change of the table that puts it right")
     removed: float = entry("Share of the misfit that it removes", unit="1")
@@ -333,7 +333,7 @@ class BrokenConvention:
 
     @property
     def finding(self) -> Finding:
-        """As an answer reports it."""
+        """The finding of this change."""
         values = {
             "what": self.what,
             "removed_share": self.removed,
@@ -348,7 +348,7 @@ class BrokenConvention:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Noise:
-    """Standard deviations (n, 5), what they are worth, and whether more than a fit shows them."""
+    """Standard deviations (n, 5) with degrees of freedom; not known if taken from residuals."""
 
     sd: Array
     degrees: float
@@ -357,7 +357,7 @@ class _Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _PutRight:
-    """A fit to the table put right, and what it leaves beside the table as it is."""
+    """A fit to a changed table, compared with the fit to the table as it is."""
 
     convention: Convention
     table: "_Table"
@@ -376,20 +376,20 @@ class _PutRight:
 
     @property
     def p_value(self) -> float:
-        """How often chance alone makes the misfit fall so far."""
+        """Probability that chance alone makes the misfit fall so far."""
         degrees = self.table.degrees(self.used)
         fall = max(self.before - self.after, 0.0) / max(1.0, self.after / degrees)
         return float(fdtrc(1.0, min(self.noise.degrees, 1e9), fall))
 
     def is_named(self, n_tried: int) -> bool:
-        """Whether it explains the misfit, as one of so many that were tried."""
+        """Whether the change explains the misfit, as one of `n_tried` changes."""
         measured = self.table.measured.any(axis=1)
         is_lost = self.n_gained < 0 or (measured & ~self.used).sum() > MOST_LOST * measured.sum()
         is_chance = self.p_value * n_tried >= IMPROBABLE
         return not is_lost and not is_chance and self.explains(self.after)
 
     def explains(self, square: float) -> bool:
-        """Whether to leave so much of the table as it is removes nearly all, and is plausible."""
+        """Whether a misfit of `square` is plausible and nearly all of that before is removed."""
         if not self.noise.is_known:
             mm, deg = self.table.errors(self.theta)
             is_small = not mm > MOST_MM and not deg > MOST_DEG
@@ -402,12 +402,12 @@ class _PutRight:
         return (self.before - square) / (self.before - noise) if self.before > square else 0.0
 
 
-# Residuals and derivatives at so many places are kept of each table.
+# Results remembered of each table.
 MOST_REMEMBERED = 4
 
 
 class _Remembered:
-    """A problem that knows the last few places at which it was asked."""
+    """A problem that remembers its last few residuals and Jacobians."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
@@ -433,16 +433,16 @@ class _Remembered:
 
 
 class _Table:
-    """A table beside a model: what is left of it, in mm and deg and in units of its noise.
+    """A table and a model: the residuals in mm and deg, and in units of the noise.
 
-    A trial without equilibrium is held near its measured pose, and counts as farther off than any
-    that has one.
+    A trial without equilibrium is held near its measured pose, and its residuals are larger than
+    those of any equilibrium.
     """
 
     def __init__(
         self, model: LaxityModel, laxity: Laxity, states: tuple[str, ...] | None = None
     ) -> None:
-        # Trials that get one state have no noise of their own to show beside one another.
+        # Noise is estimated with the original states: relabelled trials are no replicates.
         self.states = laxity.protocol.state if states is None else states
         if laxity.sd is not None and np.isnan(laxity.sd[laxity.is_measured]).any():
             laxity = replace(laxity, sd=None)
@@ -457,7 +457,10 @@ class _Table:
         return self.residuals.model
 
     def left(self, theta: Array) -> tuple[Array, Array]:
-        """Measured less predicted (n, 5), NaN where not measured, and what is lacking (n,)."""
+        """Measured less predicted (n, 5), NaN where not measured, and the lack of trials (n,).
+
+        The lack is 0 where a trial has an equilibrium; see `HeldTrials`.
+        """
         rows = self._remembered.residuals(theta)
         found = np.full(self.measured.shape, np.nan)
         m = int(self.measured.sum())
@@ -466,25 +469,25 @@ class _Table:
 
     @property
     def n_cuts(self) -> int:
-        """Cuts in the states of all trials."""
+        """Number of cuts in the states of all trials."""
         return sum(len(cuts_of(x)) for x in self.laxity.protocol.state or ())
 
     def square(self, theta: Array, sd: Array, used: BoolArray | None = None) -> float:
-        """Sum of squares of what is left in units of the noise, of the trials `used`."""
+        """Sum of squared residuals in units of the noise, over the trials `used`."""
         left, lack = self.left(theta)
         by_trial = np.nansum((left / sd) ** 2, axis=1) + (lack / np.nanmin(sd)) ** 2
         return float(by_trial.sum() if used is None else by_trial[used].sum())
 
     def degrees(self, used: BoolArray) -> int:
-        """Degrees of freedom of what is left of the trials `used`."""
+        """Degrees of freedom of the residuals of the trials `used`."""
         return max(int(self.measured[used].sum()) - self.n_asked, 1)
 
     def has_equilibrium(self, theta: Array) -> BoolArray:
-        """Which measured trials have one."""
+        """Which measured trials have an equilibrium."""
         return np.asarray(self.measured.any(axis=1) & (self.left(theta)[1] == 0.0))
 
     def noise_at(self, theta: Array) -> _Noise:
-        """The noise that the data show or state; else that which is left, in mm and in deg."""
+        """The noise that the data show or state; else the residuals, in mm and in deg."""
         left, lack = self.left(theta)
         used = np.asarray(lack == 0.0)
         seen = replace(
@@ -510,7 +513,7 @@ class _Table:
         return _Noise(sd=sd, degrees=float(self.degrees(used)), is_known=False)
 
     def is_noise(self, theta: Array) -> bool:
-        """Whether noise that is known may leave so much, or rounding."""
+        """Whether a known noise, or rounding, explains the residuals."""
         if (
             not any(x > LEAST_NOISE for x in self.errors(theta))
             and self.has_equilibrium(theta)[self.measured.any(axis=1)].all()
@@ -523,14 +526,14 @@ class _Table:
         return self.chance(self.square(theta, noise.sd), used, noise.degrees) >= IMPROBABLE
 
     def chance(self, square: float, used: BoolArray, degrees: float) -> float:
-        """How often noise leaves so much, its size known to so many degrees of freedom."""
+        """P-value of a misfit, with a noise estimated from so many degrees of freedom."""
         own = self.degrees(used)
         if np.isinf(degrees):
             return float(chdtrc(own, square))
         return float(fdtrc(own, degrees, square / own))
 
     def errors(self, theta: Array) -> tuple[float, float]:
-        """Root-mean-square of what is left [mm, deg]; NaN where nothing was measured."""
+        """Root-mean-square residuals [mm, deg]; NaN where nothing was measured."""
         left, _ = self.left(theta)
         return root_mean(left[:, TRANSLATIONS] ** 2), root_mean(left[:, ROTATIONS] ** 2)
 
@@ -543,7 +546,7 @@ class _Table:
         return np.concatenate(rows)
 
     def searched(self, start: Array) -> Array:
-        """The same where trials may have no equilibrium at the start."""
+        """Fitted parameters as of `fitted`, also if trials have no equilibrium at the start."""
         if not self.has_equilibrium(start)[self.measured.any(axis=1)].all():
             start = self.search.used(start).start
         return self.fitted(start, self.noise_at(start))
@@ -553,21 +556,21 @@ class _Table:
         return fit(self.problem(noise), start, budget=BUDGET, priors=True).theta
 
     def beginnings(self, *starts: Array) -> Iterator[Array]:
-        """Where a search may begin: as given, and stretched at the table's own measured poses."""
+        """The given starts, and one with ligaments stretched at the table's measured poses."""
         yield from starts
         if self.model.poses is not None:
             yield self.search.stretched(starts[0], STRETCHES[-1])
 
     @property
     def search(self) -> TrialSearch:
-        """Looks for trials with an equilibrium; limits, which need a noise, do not count."""
+        """Search for trials with an equilibrium, without limits, which would need a noise."""
         search = TrialSearch(model=self.model, laxity=self.laxity, weighting="unit", bounds={})
         return search.without_limits
 
     def linearised(self, start: Array, noise: _Noise) -> tuple[float, Array]:
-        """Least square that the model linear at `start` leaves with its priors, and where.
+        """Least misfit of the model linearised at `start`, with its priors, and theta there.
 
-        Trials without equilibrium there count as the others do; infinite if most have none.
+        Trials without equilibrium count as the mean of the others; infinite if most have none.
         """
         whitened = WhitenedResiduals(problem=self._remembered, sd=self._sd(noise))
         problem = ProblemWithPriors(problem=whitened)
@@ -590,7 +593,7 @@ class _Table:
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A convention and the table put right, where a fit to it begins and what it should leave."""
+    """A changed table, where a fit to it begins, and the misfit that the linear model predicts."""
 
     convention: Convention
     table: _Table
@@ -602,26 +605,26 @@ class _Candidate:
 def find_broken_convention(
     model: LaxityModel, laxity: Laxity, start: Array, fitted: Array | None = None
 ) -> BrokenConvention | None:
-    """The convention that explains why a model does not fit a table; None where none does.
+    """The convention that explains why a model does not fit a table; None if there is none.
 
-    Nothing is looked for where the table as it is leaves no more than the noise that the data show
-    or, where they show none, that they state. All conventions are looked at with the linear model
-    and the priors of the parameters, and the few with the largest predicted reduction are fitted. A
-    convention is named if it removes nearly all of the misfit, significantly so among as many, if
-    what it leaves is plausible, and if no physical cause removes as much.
+    There is no search if the misfit is explained by the noise that the data show or, if they show
+    none, that they state. All changes of the table are compared by the linear model with the priors
+    of the parameters, and the few with the lowest predicted misfit are fitted. One is named if it
+    removes nearly all of the misfit, significantly so among all changes, if the remaining misfit is
+    plausible, and if no physical cause removes as much.
 
     Parameters
     ----------
     model, laxity
         The model and the data.
     start
-        Where fits begin, in all parameters of the model, shape ``(p,)``.
+        Theta where fits begin, shape ``(p,)``.
     fitted
-        Parameters fitted to the table as it is, shape ``(p,)``; where None they are sought.
+        Parameters fitted to the table as it is, shape ``(p,)``; if None they are fitted here.
     """
     parameters = model.parameters
     if np.any(parameters.is_log & ~(parameters.center > 0.0)):
-        # A ligament without stiffness has no prior to be fitted with.
+        # A stiffness of zero has no lognormal prior.
         return None
     as_is = _Table(model, laxity)
     theta = as_is.searched(start) if fitted is None else fitted
@@ -630,7 +633,7 @@ def find_broken_convention(
     candidates, n_tried = _promising(as_is, start, theta)
     found: list[_PutRight] = []
     for candidate in candidates:
-        # What promises to leave far more than another left need not be fitted.
+        # Candidates are sorted: the rest cannot come near the best fit.
         if found and candidate.promised > LIKELY * min(x.score for x in found):
             break
         put_right = _compared(as_is, theta, candidate, n_tried)
@@ -639,8 +642,8 @@ def find_broken_convention(
     if not found:
         return None
     lowest = min(x.score for x in found)
-    # Of those that are as good the one with the fewest cuts: a structure that carries nothing in
-    # the trials may be cut or not.
+    # Among equally good changes the fewest cuts win: a structure that carries nothing in the trials
+    # may be cut or not.
     alike = [x for x in found if x.score <= AS_GOOD * lowest]
     best = min(alike, key=lambda x: (x.table.n_cuts, x.score))
     if _has_physical_rival(as_is, theta, best):
@@ -661,7 +664,7 @@ def find_broken_convention(
 
 
 def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candidate], int]:
-    """The conventions worth a fit, the most promising first, and how many were looked at."""
+    """The changes worth a fit, the most promising first, and the number of changes compared."""
     found: list[_Candidate] = []
     seen: list[Laxity] = []
     for convention in conventions_of(as_is.laxity, as_is.model.tied.names):
@@ -692,12 +695,12 @@ def _is_same(one: Laxity, other: Laxity) -> bool:
 
 
 def _compared(as_is: _Table, theta: Array, candidate: _Candidate, n_tried: int) -> _PutRight | None:
-    """The table put right beside the table as it is; None if the convention does not explain it."""
+    """The fit to the changed table; None if the change does not explain the misfit."""
     table = candidate.table
     found = _put_right(candidate, as_is, theta, table.fitted(candidate.begin, candidate.noise))
     if not found.is_named(n_tried):
         return None
-    # Once more with the noise as it shows itself beside a model that fits.
+    # The noise is estimated better from a model that fits, so both tables are fitted once more.
     found = _put_right(candidate, as_is, theta, table.fitted(found.theta, found.noise))
     refitted = as_is.square(as_is.fitted(theta, found.noise), found.noise.sd, found.used)
     found = replace(found, before=min(found.before, refitted))
@@ -705,7 +708,7 @@ def _compared(as_is: _Table, theta: Array, candidate: _Candidate, n_tried: int) 
 
 
 def _put_right(candidate: _Candidate, as_is: _Table, theta: Array, end: Array) -> _PutRight:
-    """What a fit to the table put right leaves, beside what `theta` leaves of it as it is."""
+    """Comparison of `end`, fitted to the changed table, with `theta`, fitted to it as it is."""
     table = candidate.table
     noise, used = table.noise_at(end), table.has_equilibrium(end)
     return _PutRight(
@@ -722,7 +725,7 @@ def _put_right(candidate: _Candidate, as_is: _Table, theta: Array, end: Array) -
 
 
 def _has_physical_rival(as_is: _Table, theta: Array, best: _PutRight) -> bool:
-    """Whether a cause that is no convention explains the table as it is as well."""
+    """Whether a physical cause explains the table as it is equally well."""
     laxity, base = as_is.laxity, as_is.model
     causes: list[Effect] = [Registration(sd_deg=FRAMES_DEG, sd_mm=FRAMES_MM)]
     with suppress(ValueError):
@@ -750,10 +753,10 @@ def _has_physical_rival(as_is: _Table, theta: Array, best: _PutRight) -> bool:
 def convention_findings(
     model: LaxityModel, laxity: Laxity, start: Array, fitted: Array | None = None
 ) -> tuple[Finding, ...]:
-    """The convention that is broken, if one is.
+    """A finding if a convention is broken.
 
-    Where the model cannot tell, as on a knee without equilibrium at the start, the table alone
-    shows whether the tibia moves against its load.
+    If the model shows none, as for a knee without equilibrium at the start, the table alone is
+    checked for motion against the load.
     """
     found = find_broken_convention(model, laxity, start, fitted)
     return load_sign_findings(laxity) if found is None else (found.finding,)

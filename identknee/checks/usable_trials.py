@@ -1,7 +1,7 @@
 """Which measured trials a fit can use, and a start at which as many as possible have equilibrium.
 
 A trial without equilibrium is held near its measured pose by a spring, and a fit moves the
-parameters to where it holds the pose by itself. One that never does is left out.
+parameters until the knee has an equilibrium without it. A trial that still has none is left out.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -49,13 +49,14 @@ from identknee.runs.record import Outcome
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 
-# Of each ligament at the longest of its measured lengths: the best beginning is taken.
+# Strains of each ligament at the longest of its measured lengths, from which searches begin.
 STRETCHES = (0.04, 0.06, 0.08, 0.1)
+# The same for the pattern of grouped bundles.
 PATTERN_STRETCH = 0.06
 BUDGET = 300
-# kN, and % of strain at the longest measured length: where other searches begin.
+# Further starts: least stiffness [kN], and range of strain at the longest measured length [%].
 LEAST_STIFFNESS, STRETCH_RANGE = 1.0, (-3.0, 10.0)
-# How many trials without equilibrium are listed by name for each reason.
+# Trials without equilibrium that are listed by name, for each reason.
 MOST_LISTED = 6
 ABOUT_FALLBACK = (
     "Geometry is uncertain: a trial whose load path ends, or whose unloaded knee is unstable, was "
@@ -69,17 +70,17 @@ ABOUT_NO_POSES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrialSelection:
-    """The data that a fit can rest on, and where it can begin.
+    """The data that can be fitted, and a start of the fit.
 
     Attributes
     ----------
     laxity
-        The data, cells of trials without equilibrium blank.
+        The data, with blank cells for trials without equilibrium.
     start
-        Where to begin, shape ``(p,)``; where the model begins at measured poses, all trials of
-        the data have an equilibrium there.
+        Theta where the fit begins, shape ``(p,)``. If the model begins at measured poses, all
+        trials of `laxity` have an equilibrium there.
     sentences
-        What was done, for the user.
+        Report of what was done.
     """
 
     laxity: Laxity
@@ -99,7 +100,7 @@ class TrialSearch:
     Attributes
     ----------
     model
-        The model of the data, begun at the measured poses where it can.
+        The model of the data; its equilibria are followed from measured poses where possible.
     laxity
         The data.
     weighting
@@ -119,15 +120,15 @@ class TrialSearch:
 
     @property
     def without_limits(self) -> "TrialSearch":
-        """The same where no limit of plausibility counts."""
+        """The same search without limits of plausibility."""
         knee = self.model.knee.with_plausibility("none")
         return replace(self, model=replace(self.model, knee=knee))
 
     def linear_at(self, theta: Array) -> "TrialSearch":
-        """The same with the errors that depend on where they are taken; itself without any.
+        """The same search with errors linearised at `theta`; itself if there are none.
 
         These are the covariance of in-situ forces, and stated errors that trials share: zeros,
-        single flexion angles and surfaces. They count beside a stated noise alone.
+        single flexion angles and surfaces. The latter count only with a stated noise.
         """
         made = self
         if needs_weights(self.laxity):
@@ -137,18 +138,18 @@ class TrialSearch:
         return made
 
     def used(self, start: Array) -> TrialSelection:
-        """The trials to be fitted, and where to begin, at or away from `start`.
+        """The trials to be fitted, and a start of the fit at or away from `start`.
 
-        Where trials have no equilibrium at the start, least squares goes from there with these
-        trials held at their measured poses; where some are still held at its end, also from
-        reference strains by the lengths of the ligaments in measured poses. Where no trial has an
-        equilibrium anywhere, all trials stay.
+        If trials have no equilibrium at `start`, a fit begins there with these trials held near
+        their measured poses. If some are still held at its end, further fits begin with reference
+        strains from the lengths of the ligaments in measured poses. If no trial has an equilibrium
+        at the best end, all trials are kept.
         """
         said = path_findings(self.model)
         lost = self.measured & ~self.has_equilibrium(start)
         if not lost.any():
             return TrialSelection(laxity=self.laxity, start=start, sentences=said)
-        # Starts in words, and the fit from each.
+        # The fits by the words for their starts.
         made = {"the given start": self._fit_from(start)}
         if self.model.poses is not None and not self._has_all(made["the given start"].theta):
             of_each = "% of strain at the longest measured length of each ligament"
@@ -185,12 +186,12 @@ class TrialSearch:
     def has_equilibrium(self, theta: Array) -> BoolArray:
         """Which trials have an equilibrium, shape ``(n,)``."""
         found = self.model.predict(theta, derivatives=False).is_converged
-        # A change needs both poses.
+        # A change from a zero pose needs an equilibrium in both trials.
         seen = np.where(found, 0.0, np.nan)
         return ~np.isnan(from_zero(seen, self.laxity.protocol, self.laxity.zero))
 
     def with_equilibrium(self, theta: Array) -> Laxity:
-        """The data, cells of trials without equilibrium blank."""
+        """The data, with blank cells for trials without equilibrium."""
         return self.laxity.without(~self.has_equilibrium(theta))
 
     def problem(self, laxity: Laxity) -> Problem:
@@ -199,7 +200,7 @@ class TrialSearch:
         return with_nuisance_priors(with_bounds(with_other_terms(residuals), self.bounds))
 
     def problem_everywhere(self, laxity: Laxity) -> Problem:
-        """The same; a trial without equilibrium is held near its measured pose."""
+        """The same as `problem`, with trials without equilibrium held near their measured poses."""
         residuals = self.residuals(laxity)
         return with_nuisance_priors(with_bounds(defined_everywhere(residuals), self.bounds))
 
@@ -210,7 +211,10 @@ class TrialSearch:
         )
 
     def stretched(self, start: Array, stretch: float) -> Array:
-        """`start` with reference strains as the measured poses have them, kept to the bounds."""
+        """`start` with the reference strains that stretch each ligament by `stretch`, in bounds.
+
+        The stretch is that at the longest of the measured lengths of a ligament.
+        """
         parameters = self.problem(self.laxity).parameters
         n, m = self.model.tied.n, len(self.model.knee.ligaments)
         theta = np.array(start)
@@ -230,9 +234,9 @@ class TrialSearch:
 
 
 def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
-    """Where other searches begin, shape ``(n, p)``: around the start, and by stretch.
+    """Starts of further searches, shape ``(n, p)``: around the start, and by stretch.
 
-    Half of them each where the model begins at measured poses, else all around the start.
+    They are half of each kind if the model begins at measured poses, else all around the start.
     """
     m = n if model.poses is None else n - n // 2
     around = sobol_around(model.parameters, start, m, reach=REACH, seed=seed)
@@ -273,13 +277,13 @@ def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0
 
 
 def held_everywhere(residuals: LaxityResiduals) -> LaxityResiduals:
-    """The residuals, also where trials have no equilibrium: they are held near measured poses."""
+    """The residuals with trials without equilibrium held near their measured poses."""
     held = HeldTrials(model=residuals.model, laxity=residuals.laxity)
     return replace(residuals, held=held)
 
 
 def defined_everywhere(residuals: LaxityResiduals) -> Problem:
-    """The same with the measured forces of trials that have an equilibrium."""
+    """`held_everywhere`, with the other terms of `with_other_terms`."""
     return with_other_terms(held_everywhere(residuals))
 
 
@@ -311,7 +315,7 @@ def with_other_terms(residuals: LaxityResiduals) -> Problem:
 
 
 def limit_terms(model: LaxityModel, *, is_everywhere: bool = False) -> dict[str, LimitResiduals]:
-    """The residuals of the limits that a knee has, by the name of their term; none without."""
+    """The residuals of a knee's limits by the name of their term; empty without limits."""
     limits = model.knee.plausibility
     made = LimitResiduals(model=model, limits=limits, is_everywhere=is_everywhere)
     return {PLAUSIBILITY_TERM: made} if made.n else {}
@@ -325,9 +329,9 @@ def force_terms(
     Parameters
     ----------
     model, laxity
-        The model of the data, and these.
+        The model and the data.
     is_everywhere
-        Whether a trial without equilibrium leaves its forces out.
+        Whether forces of trials without equilibrium are left out.
     """
     found: dict[str, ForceResiduals | SuperpositionResiduals] = {}
     if laxity.forces is not None and laxity.forces.is_measured.any():
@@ -342,7 +346,7 @@ def force_terms(
 
 
 def needs_weights(laxity: Laxity) -> bool:
-    """Whether the covariance of in-situ forces depends on where stiffnesses are taken."""
+    """Whether the covariance of in-situ forces depends on the parameters."""
     made = laxity.superposition
     return made is not None and bool(made.pose_sd.any() or made.is_measured[:, -1].any())
 
@@ -359,11 +363,11 @@ def residuals_of(problem: Problem) -> LaxityResiduals:
 def table_model(
     knee: Knee, laxity: Laxity, continuation: Continuation = "continuation"
 ) -> tuple[LaxityModel, tuple[str, ...]]:
-    """The model of measured laxity, and what was changed of the knee's strains, as sentences.
+    """The model of measured laxity, and a sentence if reference strains of the knee were changed.
 
-    Of grouped bundles the pattern of strains is kept in all fits. Where trials have no equilibrium
-    at the knee's own strains, these are no pattern to keep: it becomes the one that stretches each
-    bundle alike at the longest of its measured lengths.
+    Fits keep the differences of strain between grouped bundles. If trials have no equilibrium at
+    the knee's own strains, these differences are replaced by those that stretch every bundle alike
+    at the longest of its measured lengths.
     """
     model = LaxityModel(knee=knee, protocol=laxity.protocol, continuation=continuation)
     model = model.with_tests(laxity)
@@ -392,8 +396,8 @@ def knee_with_equilibria(
 ) -> tuple[Knee, TrialSelection]:
     """The knee with strains at which trials have an equilibrium, and these trials.
 
-    Strains away from which a fit has to begin are no prior knowledge: where it has, the knee's own
-    become those of the beginning. Stated errors are as large there as the trials ask for.
+    Reference strains at which trials have no equilibrium are no prior knowledge. If a fit has to
+    begin elsewhere, the knee takes the strains of that start, and the nuisances their values there.
     """
     model, said = table_model(knee, laxity)
     knee = model.knee
@@ -421,7 +425,7 @@ def trial_names(laxity: Laxity) -> tuple[str, ...]:
 
 
 def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
-    """What was not measured at all: coordinates, and trials, which are only predicted."""
+    """Sentences on coordinates that were not measured, and on trials that are only predicted."""
     columns = zip(COORDINATES, laxity.is_measured.T, strict=True)
     said = [f"{name} was not measured." for name, column in columns if not column.any()]
     known = set(trial_names(laxity))
@@ -433,7 +437,7 @@ def blank_cell_findings(laxity: Laxity) -> tuple[str, ...]:
 
 
 def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
-    """Which experiments share a rig and a mounting, as a sentence; none for a single table."""
+    """A sentence on which experiments share a rig and a mounting; empty for a single table."""
     experiments = laxity.protocol.experiments
     if len(experiments) < 2:
         return superposition_sentences(laxity)
@@ -451,7 +455,7 @@ def experiment_sentences(laxity: Laxity) -> tuple[str, ...]:
 
 
 def superposition_sentences(laxity: Laxity) -> tuple[str, ...]:
-    """What counts of in-situ forces, and which of their errors; none without any."""
+    """A sentence on in-situ forces and those of their errors that count; empty without any."""
     if (made := laxity.superposition) is None:
         return ()
     paths = len(set(made.trials))
@@ -475,7 +479,7 @@ def superposition_sentences(laxity: Laxity) -> tuple[str, ...]:
 
 
 def input_findings(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
-    """What a fit assumes of knee and table: what is uncertain, blank, or left aside."""
+    """Sentences on what a fit assumes: stated uncertainty, blank cells, and errors not used."""
     said = (
         knee.uncertainty.sentence,
         *experiment_sentences(laxity),
@@ -495,7 +499,7 @@ def input_findings(knee: Knee, laxity: Laxity) -> tuple[str, ...]:
 
 
 def excluded_trial_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[Finding, ...]:
-    """Which measured trials a result does not rest on."""
+    """A finding if measured trials were not fitted."""
     measured, kept = trial_names(laxity), trial_names(used)
     lost = [x for x in measured if x not in kept]
     if not lost:
@@ -511,7 +515,7 @@ def excluded_trial_findings(knee: Knee, laxity: Laxity, used: Laxity) -> tuple[F
 
 
 def unfitted_findings(laxity: Laxity, prediction: Prediction) -> tuple[Finding, ...]:
-    """Why a search could not begin: the trials without prediction at the start, or its bounds."""
+    """Findings on why no search could begin: trials without prediction, or the bounds."""
     measured = np.any(laxity.is_measured, axis=1)
     lost = measured & ~prediction.is_converged
     if not lost.any():
@@ -548,7 +552,7 @@ def _named(trials: Sequence[str]) -> str:
 
 
 def prediction_finding(model: LaxityModel, laxity: Laxity, start: Array) -> Finding:
-    """That no parameters near the start predict all measured trials, with the first one lost."""
+    """The finding that no parameters near the start predict all measured trials."""
     prediction = model.predict(start, derivatives=False)
     used = np.any(laxity.is_measured, axis=1).tolist()
     lost = [
@@ -574,7 +578,7 @@ def prediction_finding(model: LaxityModel, laxity: Laxity, start: Array) -> Find
 
 
 def path_findings(model: LaxityModel) -> tuple[str, ...]:
-    """Where equilibria were looked for, if not along paths from the scanned pose."""
+    """Sentences on where equilibria were searched for, unless on paths from the scanned pose."""
     if model.fallback_poses is not None:
         has_poses = np.isfinite(model.fallback_poses).all(axis=1).any()
         return (ABOUT_FALLBACK if has_poses else ABOUT_NO_POSES,)
@@ -606,7 +610,7 @@ def path_findings(model: LaxityModel) -> tuple[str, ...]:
 
 
 def candidate_path_findings(model: LaxityModel) -> tuple[str, ...]:
-    """Where equilibria of trials that were not made are looked for, if not on paths from a scan."""
+    """The same for trials that were not made."""
     if model.poses is None:
         return ()
     sentence = (
