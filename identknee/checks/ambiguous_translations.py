@@ -16,18 +16,18 @@ from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.record import Outcome
 from identknee.runs.words import label_without_unit, two_values_words
 
-# The definition that other tools compute: the one that a table which says nothing may have.
+# The definition that other tools compute, and so that of many tables without a stated one.
 USUAL: Translations = "projections"
-# What an error counts as where no noise is stated [mm].
+# Assumed noise where none is stated [mm].
 UNSTATED_MM = 1.0
-# Rise of the deviance by which the data tell one definition from another, also where the model is
-# wrong or a search ended too high.
+# Rise of the deviance by which the data rule a definition out, with a margin for an imperfect model
+# and for a search that ended too high.
 CLEAR_RISE = 30.0
-# Another definition is fitted if the linear model leaves at most so much more than that.
+# Rise of the deviance by the linear model up to which another definition is fitted.
 PROMISING = 100.0
 BUDGET = 60
 MOST_STARTS = 3
-# Parameters that moved by less, in typical steps (3 kN, 2 %), are the same.
+# Typical steps (3 kN, 2 %) from which on parameters differ.
 APART = 0.1
 MOST_NAMED = 2
 UNSAID = "The table does not define its translations, and they were read as components."
@@ -43,7 +43,7 @@ class _Change:
 
 
 def translations_findings(laxity: Laxity, noise_mm: float | None = None) -> tuple[Finding, ...]:
-    """That another definition of the translations would change them by more than the noise.
+    """A finding if another definition would change translations by more than the noise.
 
     Parameters
     ----------
@@ -64,18 +64,18 @@ def translations_findings(laxity: Laxity, noise_mm: float | None = None) -> tupl
 def refitted_translations_findings(
     trials: TrialSearch, laxity: Laxity, fits: Sequence[Fit], scale: float
 ) -> tuple[Finding, ...]:
-    """What parameters would be by another definition, and how well it fits.
+    """A finding on the parameters by other definitions of translations, and how well these fit.
 
     Parameters
     ----------
     trials
         The search that the fit came from.
     laxity
-        The trials that it used.
+        The trials that were fitted.
     fits
-        The fit, and other ends of searches.
+        The fit, then the ends of other searches.
     scale
-        Variance of its residuals.
+        Variance of the residuals of the fit.
     """
     if not np.isfinite(fits[0].objective):
         return ()
@@ -132,7 +132,7 @@ def _differences(found: Fit, other: Fit) -> tuple[list[str], list[str]]:
 
 
 def _refitted(problem: Problem, fits: Sequence[Fit]) -> Fit:
-    """The lowest fit to a table read otherwise, from the ends of those to the table as it is."""
+    """The lowest fit of `problem`, from the ends of fits to the table as it was read."""
     one = fits[0]
     search = partial(fit, problem, fixed=one.fixed, priors=one.priors, seed=one.seed)
     starts = [x.theta for x in fits if np.isfinite(x.objective)][:MOST_STARTS]
@@ -141,7 +141,7 @@ def _refitted(problem: Problem, fits: Sequence[Fit]) -> Fit:
 
 
 def _promises(problem: Problem, found: Fit, scale: float) -> bool:
-    """Whether the linear model leaves little enough of a table for a fit to be worth it."""
+    """Whether the linear model predicts a misfit low enough for a fit to be worth it."""
     rows, slopes = problem.residuals(found.theta), problem.jacobian(found.theta)
     if not (np.isfinite(rows).all() and np.isfinite(slopes).all()):
         return False
@@ -152,7 +152,7 @@ def _promises(problem: Problem, found: Fit, scale: float) -> bool:
 
 
 def _by(laxity: Laxity, definition: Translations) -> Laxity:
-    """The table with the numbers that it has, taken for those of another definition."""
+    """The table with its numbers read by another definition, as components."""
     flexion = laxity.protocol.flexion_deg
     return replace(laxity, coordinates=to_components(definition, flexion, laxity.coordinates))
 

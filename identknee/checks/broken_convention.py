@@ -633,7 +633,7 @@ def find_broken_convention(
     candidates, n_tried = _promising(as_is, start, theta)
     found: list[_PutRight] = []
     for candidate in candidates:
-        # Candidates are sorted: the rest cannot come near the best fit.
+        # Candidates are sorted by promise: the rest are unlikely to come near the best fit.
         if found and candidate.promised > LIKELY * min(x.score for x in found):
             break
         put_right = _compared(as_is, theta, candidate, n_tried)

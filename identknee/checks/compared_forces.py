@@ -12,7 +12,7 @@ from identknee.runs.declare import OF_QUANTITY, array, declared, entry
 
 @declared
 class ComparedForces:
-    """Forces that were measured in trials, and what a model has for them."""
+    """Forces that were measured in trials, and their predictions by a model."""
 
     names: tuple[str, ...] = entry(
         "What was measured, such as `ACL.tension_N`, `contact.medial_N` or, of a replayed path, "

@@ -18,20 +18,20 @@ from identknee.runs.declare import array, declared, entry
 CURVE_DEGREE = 4
 # Degrees of freedom that a polynomial must leave, or the curve is not used.
 LEAST_LEFT = 2
-# Degrees of freedom in all below which a correlation or a standard deviation is not estimated.
+# Total degrees of freedom below which a correlation or a standard deviation is not estimated.
 LEAST_DEGREES = 8.0
-# Consecutive points whose deviation from a cubic is one look at the noise.
+# Consecutive points from which one deviation from a cubic is computed.
 WINDOW = 5
 # Share of normal errors within one standard deviation, and the efficiency of that quantile.
 WITHIN_ONE_SD, QUANTILE_EFFICIENCY = 0.6827, 0.54
-# A covariance beyond these is singular or nearly so, whatever the estimate says.
+# Limits of an estimated correlation, beyond which a covariance is nearly singular.
 LEAST_CORRELATION, MOST_CORRELATION = -0.2, 0.95
 LEAST_POINTS = 3
-# Fewer degrees of freedom say less about the noise than a stated standard deviation does.
+# Degrees of freedom below which an estimate is worse than a stated standard deviation.
 TRUSTED_DEGREES = 40.0
 UNITS = {"mm": TRANSLATIONS, "deg": ROTATIONS}
-# How well a stated standard deviation is usually known, as that of its logarithm, and from how many
-# of its standard deviations on it is taken for a mistake.
+# Standard deviation of the logarithm of a stated standard deviation, an assumption, and how many of
+# these it may be off before it is taken for a mistake.
 STATED_SPREAD, DOUBT = 0.2, 3.0
 
 
@@ -56,10 +56,10 @@ class Curve:
 
 
 def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
-    """Curves of at least three trials of one flexion angle, state and one varying load.
+    """Curves of at least three trials of one flexion angle and state, over one load.
 
-    The other loads are the same all along a curve. A trial without load may be on several curves;
-    of replicates the first is on it.
+    The other loads are constant along a curve. A trial without load may be on several curves; of
+    equal trials the first is taken.
     """
     curves = []
     for axis in range(len(LOADS)):
@@ -80,11 +80,11 @@ def load_curves(protocol: Protocol) -> tuple[Curve, ...]:
 def estimate_correlation(
     residuals: Array, is_measured: BoolArray, curves: Sequence[Curve]
 ) -> float | None:
-    """The correlation that the errors of a trial share, or None where the data are too few.
+    """Correlation of the errors within a trial; None if there are too few data.
 
-    A quartic is removed along every load curve, so that smooth misfit does not pass for noise; on
-    short curves the degree is lower. What is left is correlated between coordinates, averaged over
-    all pairs.
+    A quartic is removed along every load curve, so that smooth misfit does not count as noise; on
+    short curves the degree is lower. The result is the mean correlation of what remains, over all
+    pairs of coordinates.
 
     Parameters
     ----------
@@ -123,14 +123,14 @@ def estimate_correlation(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatedScale:
-    """The size of the noise as the roughness of load curves shows it.
+    """The size of the noise, estimated from load curves or equal trials.
 
     Attributes
     ----------
     sd
         Standard deviation, in the unit of the values.
     degrees_of_freedom
-        What the estimate is worth.
+        Degrees of freedom of the estimate.
     """
 
     sd: float
@@ -140,11 +140,11 @@ class EstimatedScale:
 def estimate_scale(
     values: Array, is_measured: BoolArray, curves: Sequence[Curve]
 ) -> EstimatedScale | None:
-    """The common noise of some columns from how their curves deviate from a cubic on five points.
+    """The common noise of some columns, from deviations from a cubic on five points of a curve.
 
-    The pure error of data without replicates. Kinks of a curve and outliers must not count as
-    noise: what 68 % of the deviations stay below is one standard deviation, however large the
-    others are. None where there are too few points.
+    It stands for pure error in data without replicates. Kinks of a curve and outliers must not
+    count as noise, so the standard deviation is the 68 % quantile of the deviations. None if there
+    are too few points.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def _degrees_of_freedom(left: csr_array) -> float:
     return float(left.diagonal().sum()) ** 2 / squares if squares > 0 else 0.0
 
 
-# The same for every column and for every table of one protocol.
+# Cached, because it is the same for every column and for every table of one protocol.
 @lru_cache(maxsize=1024)
 def _off_polynomials(load: tuple[float, ...], degree: int) -> Array:
     """The projection that removes a polynomial of the load, shape ``(k, k)``."""
@@ -206,7 +206,7 @@ def _off_polynomials(load: tuple[float, ...], degree: int) -> Array:
 
 @lru_cache(maxsize=1024)
 def _contrast(load: tuple[float, ...]) -> Array:
-    """What polynomials of all but the highest degree leave at zero, shape ``(k,)``."""
+    """Unit contrast of k values that is zero for polynomials up to degree k - 2, ``(k,)``."""
     whole, _ = np.linalg.qr(_powers(np.array(load), len(load) - 2), mode="complete")
     return np.asarray(whole[:, -1])
 
@@ -229,7 +229,7 @@ class Replicates:
     def deviations(self, values: Array, used: BoolArray) -> Array:
         """`values` (n, k) of the trials `used` (n,) less the mean of their set; 0 for others.
 
-        A model predicts the same for all trials of a set, so that nothing of it is in them.
+        They do not depend on a model, which predicts the same for all trials of a set.
         """
         known = np.where(used[:, None], values, 0.0)
         n_groups = int(self.group.max()) + 1
@@ -279,7 +279,7 @@ def scale_of_replicates(
 
 
 def correlation_of_replicates(replicates: Replicates, values: Array) -> float | None:
-    """The correlation that the errors of a trial share; None where too few trials are equal."""
+    """Correlation of the errors within a trial; None if too few trials are equal."""
     found = []
     for pair in combinations(range(values.shape[1]), 2):
         used = np.asarray(replicates.is_measured[:, pair].all(axis=1))
@@ -320,7 +320,7 @@ class DataNoise:
         "trial",
         "coordinate",
     )
-    correlation: float = entry("What the errors of a trial share")
+    correlation: float = entry("Correlation of the errors within a trial")
     factors: tuple[float, float] | None = entry(
         "Found noise over stated noise, of lengths and of angles, NaN for what was not measured; "
         "None where nothing was stated or found"
@@ -348,12 +348,12 @@ class DataNoise:
 
 
 def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
-    """The noise of the data; None where it is neither stated nor to be seen in them.
+    """The noise of the data; None if it is neither stated nor can be estimated from them.
 
-    Trials under equal loads differ by noise alone; along a load curve laxity is smooth, so that
-    what is rough there is noise. Both hold whatever the model gets wrong, and the one with more
-    degrees of freedom is believed. A stated standard deviation is taken to be right to 20 %, and
-    is weighed with what is found.
+    Trials under equal loads differ by noise alone. Laxity is smooth along a load curve, so that
+    deviations from a smooth curve are noise. Both hold whatever the model gets wrong; the estimate
+    with more degrees of freedom is taken. A stated standard deviation is assumed to be right to
+    20 % and is combined with the estimate.
 
     Parameters
     ----------
@@ -394,10 +394,10 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
     for unit in units:
         scale = scales[unit]
         size = scale.sd if laxity.sd is None else _pooled_noise(scale)
-        # Of data without noise nothing is rough.
+        # Data without noise give an estimate of zero.
         factors[unit] = max(size, np.finfo(float).tiny)
         sd[:, UNITS[unit]] *= factors[unit]
-    # What the errors of a trial share, as the same trials show it that show their size.
+    # The correlation comes from the same source as the standard deviations.
     if source is NoiseSource.REPLICATES:
         shared = correlation_of_replicates(replicates, residuals / sd)
     else:
@@ -412,7 +412,7 @@ def noise_of(laxity: Laxity, residuals: Array) -> DataNoise | None:
 
 
 def _pooled_noise(scale: EstimatedScale) -> float:
-    """Noise over stated noise from both, by what they are worth; the data's own in doubt."""
+    """Noise over stated noise: the weighted mean of both; the data's own if they contradict."""
     spread = 0.5 / scale.degrees_of_freedom
     seen = np.log(max(scale.sd, np.finfo(float).tiny))
     if abs(seen) > DOUBT * np.sqrt(spread + STATED_SPREAD**2):

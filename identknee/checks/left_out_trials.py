@@ -1,7 +1,7 @@
-"""Which trials of a table are asked about: all but those left out by name or by the table itself.
+"""The trials of a table that are used: all but those left out by name or by the table itself.
 
-A trial that departs from the trend of all others over flexion is left out before anything is
-fitted, in every verb alike. `keep` keeps it, `leave_out` leaves out others.
+Every verb leaves out trials that depart from the trend of the others over flexion, before anything
+is fitted. `keep` keeps such a trial, `leave_out` leaves out others.
 """
 
 import fnmatch
@@ -28,7 +28,7 @@ MOST_NAMED = 6
 
 @declared
 class TrialsAsked:
-    """The trials of a table that a verb asks about, and those that were left out."""
+    """The trials of a table that a verb uses, and those that were left out."""
 
     given: Laxity = entry("The data as they were given")
     laxity: Laxity = entry("The data, cells of trials left out blank")
@@ -49,7 +49,7 @@ def trials_asked(
     leave_out: Sequence[str] = (),
     noise_mm: float | None = None,
 ) -> TrialsAsked:
-    """The trials of a table that a verb asks about.
+    """The trials of a table that a verb uses.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def trials_asked(
     Raises
     ------
     ValueError
-        If no trial is called so, one is named in both, or none is left.
+        If a name fits no trial, a trial is named in both `keep` and `leave_out`, or none is left.
     """
     trials = laxity.protocol.trials
     is_kept = named_trials(laxity, keep, "--keep")
@@ -111,14 +111,14 @@ def _off_their_course(laxity: Laxity) -> list[SuspiciousRow]:
 
 
 def named_trials(laxity: Laxity, names: Sequence[str], flag: str) -> BoolArray:
-    """Which trials are called so, shape ``(n,)``; ``*`` in a name stands for any letters.
+    """Which trials have one of the names, shape ``(n,)``; ``*`` stands for any letters.
 
     The name of an experiment stands for all of its trials.
 
     Raises
     ------
     ValueError
-        If none is.
+        If a name fits no trial.
     """
     trials = laxity.protocol.trials
     found = np.zeros(laxity.n, bool)

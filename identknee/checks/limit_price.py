@@ -1,4 +1,4 @@
-"""What limits of plausibility cost: how much better the data are fitted without them."""
+"""The price of limits of plausibility: how much lower the deviance is without them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -22,7 +22,7 @@ from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, declared, entry
 from identknee.runs.executors import Executor, serial
 
-# A limit that adds less to the deviance costs nothing.
+# Deviance of a limit below which it costs nothing.
 ACTIVE = 0.1
 
 
@@ -38,11 +38,11 @@ class LimitPrice:
 
 @declared
 class PlausibilityPrice:
-    """What limits of plausibility cost together and each.
+    """The price of all limits of plausibility together, and of each.
 
-    The price of some limits is the least deviance with them less that without any. It is never
-    above that of more limits, since each adds to the deviance what is not negative, and all are
-    compared over the same parameter sets.
+    The price of some limits is the least deviance with them less that without any. It cannot fall
+    if a limit is added, because no limit lowers the deviance and all minima are taken over the same
+    parameter sets.
     """
 
     limits: tuple[LimitPrice, ...] = entry("Each limit")
@@ -56,18 +56,18 @@ class PlausibilityPrice:
 
 
 class _Rows(NamedTuple):
-    """Residuals of a problem that are those of limits, and all others."""
+    """Indices of the residuals of limits, and of all others."""
 
     limits: IntArray
     others: IntArray
 
     def with_limits(self, which: Sequence[int]) -> IntArray:
-        """All others and those of some limits, in their order."""
+        """Indices of the other residuals and of those of some limits, ascending."""
         return np.sort(np.r_[self.others, self.limits[list(which)]])
 
 
 def limits_of(problem: Problem) -> LimitResiduals | None:
-    """The limits that count in a problem; None where none do."""
+    """The limits of a problem; None if it has none."""
     inner = innermost(problem)
     found = inner.terms.get(PLAUSIBILITY_TERM) if isinstance(inner, SumOfTerms) else None
     return found if isinstance(found, LimitResiduals) else None
@@ -81,21 +81,21 @@ def plausibility_price(
     search: Callable[..., Fit] = fit,
     executor: Executor = serial,
 ) -> PlausibilityPrice | None:
-    """What the limits of a fit cost; None where it has none.
+    """The price of the limits of a fit; None if it has none.
 
-    The fit is repeated without each limit that is active, with that alone, and without any, each
-    from the best end of all searches. Ends are compared under all of these.
+    The fit is repeated without each active limit, with that limit alone, and without any, each from
+    the best known parameters. All ends then count in each of these comparisons.
 
     Parameters
     ----------
     problem
         The problem in units of the noise.
     everywhere
-        Gives the same where a search may begin anywhere.
+        Returns the same problem with residuals that are finite wherever a search begins.
     thetas
-        The fit, then ends of other searches with limits and without, shape ``(p,)`` each.
+        The fit, then the ends of other searches with and without limits, shape ``(p,)`` each.
     search
-        As `identknee.calibrate.fit`.
+        Fits a problem from a start, as `identknee.calibrate.fit.fit`.
     executor
         Anything with an ordered ``map``.
     """
@@ -110,7 +110,7 @@ def plausibility_price(
     rows, own = _rows(searched), _rows(problem)
     found = [(problem.residuals(theta), theta) for theta in thetas]
     known = _Known(found, own)
-    # Each from the best of all that is known of it.
+    # Each search begins at the known parameters that are best for it.
     parts = [
         (SelectedResiduals(problem=searched, rows=rows.with_limits(which)), known.best(which))
         for which in asked
@@ -145,7 +145,7 @@ def _rows(problem: Problem) -> _Rows:
 
 
 class _Known:
-    """Parameter sets that predict every trial, and what limits add to the deviance of each."""
+    """Parameter sets that predict every trial, and the deviance of each without and by limits."""
 
     def __init__(self, found: Sequence[tuple[Array, Array]], rows: _Rows) -> None:
         self.thetas = [theta for residuals, theta in found if np.isfinite(residuals).all()]
@@ -153,19 +153,19 @@ class _Known:
         self.base, self.beyond = squares[:, rows.others].sum(axis=1), squares[:, rows.limits]
 
     def deviances(self, which: Sequence[int]) -> Array:
-        """Of each set with some limits."""
+        """Deviance of each parameter set with some limits."""
         return np.asarray(self.base + self.beyond[:, list(which)].sum(axis=1))
 
     def least(self, which: Sequence[int]) -> float:
-        """The lowest of them."""
+        """The lowest deviance with some limits."""
         return float(self.deviances(which).min())
 
     def best(self, which: Sequence[int]) -> Array:
-        """The set that has it."""
+        """The parameter set with the lowest deviance."""
         return self.thetas[int(self.deviances(which).argmin())]
 
     def paid(self, which: Sequence[int]) -> float:
-        """What data and priors contribute to it."""
+        """Part of the lowest deviance that belongs to data and priors."""
         return float(self.base[self.deviances(which).argmin()])
 
 

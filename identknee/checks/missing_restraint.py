@@ -1,7 +1,7 @@
 """What is missing where measured trials have no equilibrium, and which structures would hold them.
 
-Such trials do not enter the parameters: to bend a ligament until it imitates a capsule would be
-worse. At their measured poses they still say what the model lacks.
+Such trials are not fitted, because a ligament would then be changed until it imitates a capsule. At
+their measured poses they still show what the model lacks.
 """
 
 from collections.abc import Iterator
@@ -30,20 +30,21 @@ from identknee.runs.words import amount, listed, listed_first
 from identknee.subject.knee import Knee
 
 SLACK_STRAINS = (-4.0, 0.0, 4.0, 8.0)  # %
-# N, at a lever of 20 mm: what is smaller is not worth a structure, however exact the poses are.
+# Error added to each missing force [N], moments over a lever of 20 mm: no structure is to be named
+# for less, however exact the poses are.
 SMALLEST = 1.0
-# Of what is missing: a structure that supplies less does not hold the knee.
+# Least share of the missing forces for which a structure is named.
 LEAST_SHARE = 0.5
-FINEST = 0.01  # mm and deg, that no rig reads more finely
-NO_ERROR = 1e-9  # of the largest variance
+FINEST = 0.01  # resolution of the best rig [mm, deg]
+NO_ERROR = 1e-9  # share of the largest variance that is rounding
 MOST_NAMED = 3
-# Standard deviations beyond which a component is said to be missing.
+# Standard deviations from which on a component of the missing forces is reported.
 CLEAR = 2.0
 
 
 @declared
 class Restraint:
-    """A structure that would supply what is missing in trials without equilibrium."""
+    """A structure that would supply the missing forces in trials without equilibrium."""
 
     name: str = entry("Name of the structure in the library of causes")
     share: float = entry("Share of the missing forces that it supplies", unit="1")
@@ -55,18 +56,18 @@ class Restraint:
 def missing_restraint_findings(
     model: LaxityModel, laxity: Laxity, prediction: Prediction, error: LaxityError
 ) -> tuple[Finding, ...]:
-    """What is missing at the fit in trials without equilibrium; nothing where all have one.
+    """A finding on the forces missing in trials without equilibrium; none if all have one.
 
-    Trials count in which all coordinates were measured, absolute ones.
+    Only trials with all five coordinates count, and only absolute coordinates.
 
     Parameters
     ----------
     model, laxity
         The model of the fit, and all measured trials.
     prediction
-        Of these trials at the fit.
+        Prediction of these trials at the fit.
     error
-        What the fit leaves, for data that state no noise.
+        Error of the fit, which stands for the noise where none is stated.
     """
     is_lost = laxity.is_measured.all(axis=1) & ~prediction.is_converged
     if not is_lost.any() or laxity.zero != ABSOLUTE or prediction.hessians is None:
@@ -85,10 +86,10 @@ def missing_restraint_findings(
 def restraints(
     model: LaxityModel, theta: Array, missing: MissingWrench, is_lost: BoolArray
 ) -> Iterator[Restraint]:
-    """Each structure of the library, at the stiffness and strain that supply most of it.
+    """Each structure of the library, at the stiffness and strain that supply most of `missing`.
 
-    What is missing outside the directions of contact is compared with the pull of the structure in
-    the same poses, by least squares in units of its errors. A structure pulls and never pushes.
+    The missing forces outside the directions of contact are fitted by the pull of the structure in
+    the same poses, by least squares in units of their errors. A structure pulls and never pushes.
     """
     lost = np.flatnonzero(is_lost)
     unit = _unit(missing, lost)
@@ -117,7 +118,7 @@ def restraints(
 
 
 def _structures(knee: Knee) -> list[Structure]:
-    """The structures of the library; none where the surfaces do not show where they would be."""
+    """The structures of the library; none if they cannot be placed on the surfaces."""
     try:
         found = library(knee)
     except ValueError:
@@ -126,10 +127,10 @@ def _structures(knee: Knee) -> list[Structure]:
 
 
 def _unit(missing: MissingWrench, trials: IntArray) -> Array:
-    """What turns missing forces outside contact into units of their errors, shape ``(n, 5, 5)``."""
+    """Matrices from missing forces outside contact to units of their errors, ``(n, 5, 5)``."""
     covariance = missing.outside_covariance[trials] / SCALE[:, None] / SCALE
     size, along = np.linalg.eigh(covariance)
-    # Contact supplies what it can: nothing is missing along the directions without an error.
+    # Directions in which contact presses were removed and have no variance.
     is_outside = size > NO_ERROR * size[:, -1:]
     root = np.where(is_outside, 1.0 / np.sqrt(np.maximum(size, 0.0) + SMALLEST**2), 0.0)
     return np.asarray(root[:, :, None] * along.transpose(0, 2, 1) / SCALE)
@@ -149,7 +150,7 @@ def structure_pulls(
     model, theta
         The model without it, and its parameters.
     poses
-        Of the trials of the model: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``.
+        Poses of the model's trials: varus, internal [rad], x, y, z [mm], shape ``(n, 5)``.
     effect
         The structure.
     strain
@@ -212,7 +213,7 @@ def _finding(
 
 
 def _load_words(loads: Array, sd: Array) -> str:
-    """The components that are clear of their errors, the largest of them if none is."""
+    """The components that are larger than their errors, or the clearest one if none is."""
     kinds = (
         (1.0, ("anterior", "posterior"), "N"),
         (1.0, ("lateral", "medial"), "N"),

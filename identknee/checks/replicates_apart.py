@@ -7,16 +7,14 @@ from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Finding, finding
 
-# Equal trials that scatter so many times their noise are not equal.
+# Times the noise beyond which the scatter of equal trials is reported.
 MOST = 4.0
-
-
-# Noise of trials of which none is stated: more than replicates of any rig have [mm, deg].
+# Assumed noise [mm, deg] where none is stated: more than replicates of any rig have.
 LARGE_MM, LARGE_DEG = 1.0, 2.0
 
 
 def replicates_findings(laxity: Laxity, noise_mm: float | None = None) -> tuple[Finding, ...]:
-    """That equal trials are further apart than their noise allows; nothing where they are not.
+    """A finding if equal trials are further apart than their noise allows.
 
     Parameters
     ----------

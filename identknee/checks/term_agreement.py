@@ -17,23 +17,23 @@ from identknee.laxity.table import Laxity
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.findings import Finding, finding
 
-# Terms that agree differ as far in this share of data sets.
+# P-value below which terms are said to disagree.
 LEVEL = 0.01
-# Fewer values than this are no term of their own.
+# Fewest values of a term.
 LEAST_VALUES = 5
-# Ends of other searches from which fits to single terms begin.
+# Most ends of other searches from which fits to single terms begin.
 MOST_STARTS = 3
 
 
 def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
-    """Residuals of each experiment, or of each state of one, and of each kind of force.
+    """Indices of the residuals of each experiment (or state, if there is one experiment) and force.
 
-    Empty where an error is shared by trials of several: their residuals are mixed to take it out.
+    Empty if several experiments or states share an error: whitening then mixes their residuals.
 
     Parameters
     ----------
     problem
-        Of a fit in units of the noise.
+        A problem with residuals in units of the noise.
     laxity
         Its data.
     """
@@ -50,7 +50,7 @@ def rows_by_term(problem: Problem, laxity: Laxity) -> dict[str, IntArray]:
         found = {TABLE_TERM: next(iter(found.values()))}
     if isinstance(inner, SumOfTerms):
         ends = np.cumsum(inner.sizes)
-        # Beliefs about a knee are no measurements with an error.
+        # Beliefs about a knee are no measurements, so they cannot disagree with one.
         names = [x for x in inner.terms if x not in BELIEFS]
         found |= {name: np.arange(ends[i - 1], ends[i]) for i, name in enumerate(names) if i > 0}
     return {name: rows for name, rows in found.items() if rows.size >= LEAST_VALUES}
@@ -71,18 +71,18 @@ def term_agreement(
     ends: Sequence[Array] = (),
     seed: int = 0,
 ) -> Agreement | None:
-    """Whether the terms of a fit agree; None where there is one alone.
+    """Whether the terms of a fit agree; None if there is only one.
 
     Parameters
     ----------
     problem, laxity
-        Of the fit, and its data.
+        The problem of the fit, and its data.
     theta
         The best fit.
     ends
-        Other ends of searches: fits to single terms begin there and at the start too.
+        Ends of other searches. Fits to single terms begin there and at the problem's start too.
     seed
-        Of the draws.
+        Seed of the draws.
     """
     terms = rows_by_term(problem, laxity)
     if len(terms) < 2:
@@ -95,7 +95,7 @@ def term_agreement(
 
 
 def agreement_findings(found: Agreement | None) -> tuple[Finding, ...]:
-    """That terms do not agree, where chance would seldom make them differ so far."""
+    """A finding if terms differ by more than chance explains."""
     if found is None or found.p_value >= LEVEL:
         return ()
     worst = found.worst

@@ -1,6 +1,6 @@
-"""Which trials a knee would not bear: a ligament would fail, or the tibia would go too far.
+"""Trials that a knee would not bear: a ligament would fail, or the tibia would move too far.
 
-What it bore in trials that were made is never too much.
+Tensions and motions of trials that were made raise the limits, because the knee bore them.
 """
 
 from collections.abc import Sequence
@@ -41,14 +41,14 @@ class UnborneTrial:
 
 @declared
 class Bearable:
-    """Largest demands that a knee bears: tension of each ligament, change of each coordinate."""
+    """The largest tension of each ligament and change of each coordinate that a knee bears."""
 
     what: tuple[str, ...] = entry("Names of ligaments and coordinates")
     limits: Array = entry("The limits [N, mm, deg], shape ``(m,)``")
     sources: tuple[str, ...] = entry("Where they are from")
 
     def unborne(self, model: LaxityModel, theta: Array) -> tuple[UnborneTrial, ...]:
-        """The trials of a model beyond a limit at theta, each with that which it is most beyond."""
+        """The trials of a model beyond a limit at theta, each with the limit it exceeds most."""
         values = _demands(model, theta)[2]
         times = np.nan_to_num(values / self.limits)
         return tuple(
@@ -65,7 +65,7 @@ class Bearable:
 
 
 def bearable(model: LaxityModel, theta: Array, *, is_made: bool) -> Bearable:
-    """What a knee bears: the limits, and what its trials demand at theta where they were made."""
+    """The limits of a knee; if its trials were made (`is_made`), at least their values at theta."""
     names, usual, values, sources = _demands(model, theta)
     borne = np.nan_to_num(values).max(axis=0) if is_made else np.zeros(len(usual))
     return Bearable(what=names, limits=np.maximum(usual, borne), sources=sources)
@@ -74,7 +74,7 @@ def bearable(model: LaxityModel, theta: Array, *, is_made: bool) -> Bearable:
 def _demands(
     model: LaxityModel, theta: Array
 ) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
-    """Names, limits, demands of each trial ``(n, m)``, NaN without equilibrium, and sources."""
+    """Names, limits, tensions and motions ``(n, m)``, NaN without equilibrium, and sources."""
     unloaded = model.protocol.under(np.zeros(model.protocol.n))
     at_rest = continued_from_own_poses(model.with_protocol(unloaded), theta)
     found, rest = (x.predict(theta, derivatives=False) for x in (model, at_rest))
@@ -89,7 +89,7 @@ def _demands(
 
 
 def unborne_findings(unborne: Sequence[UnborneTrial]) -> tuple[Finding, ...]:
-    """What is not offered and why: a finding for each ligament or coordinate, with the worst."""
+    """A finding for each ligament or coordinate whose limit rules out trials, with the worst."""
     found = []
     for what in dict.fromkeys(x.what for x in unborne):
         own = [x for x in unborne if x.what == what]
