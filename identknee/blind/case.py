@@ -39,9 +39,9 @@ from identknee.runs.files import PathLike, prepare_folder
 from identknee.subject.knee import Knee
 from identknee.subject.surface import Surface
 
-# mm; nearer to a rim the surface that would touch next is not known.
+# Least distance of a contact from a rim [mm]: beyond the rim the surface is unknown.
 MARGIN = 3.0
-REACH = 0.5  # mm, within which points of the tibia are looked at
+REACH = 0.5  # distance from the femur within which tibial points may touch [mm]
 
 
 @declared
@@ -69,7 +69,7 @@ def rims_of(knee: Knee) -> Rims:
 
 
 def contact_stays_inside(experiment: Experiment, run: ExperimentRun, rims: Rims) -> bool:
-    """Whether the middle of every contact of every trial is well inside both surfaces."""
+    """Whether the centre of every contact of every trial is well inside both surfaces."""
     return all(_is_inside(experiment, R, t, rims) for R, t in run.poses)
 
 
@@ -84,7 +84,7 @@ def _is_inside(experiment: Experiment, R: Array, t: Array, rims: Rims) -> bool:
     _, n = energy.energy_of(R, t, np.zeros(5), knee, listed, np.zeros(5), touching)
     points = experiment.points[touching[:n]]
     weight = experiment.areas[touching[:n]]
-    # Of the sheets, the nearest one carries a point.
+    # A point belongs to the nearest tibial surface.
     distances = np.array([sheet.query(points)[0] for _, sheet in rims.tibia])
     for index, (rim, _) in enumerate(rims.tibia):
         own = distances.argmin(axis=0) == index
@@ -96,27 +96,27 @@ def _is_inside(experiment: Experiment, R: Array, t: Array, rims: Rims) -> bool:
     return True
 
 
-# Of the chi-square between two steps, and of the wanted signal.
+# Share of the chi-square that a step may still gain, and share by which a signal may miss.
 FIT_TOLERANCE = 1e-3
 SIGNAL_TOLERANCE = 0.02
 FIT_STEPS = 25
 AMPLITUDE_STEPS = 12
 LEAST_STIFFNESS_KN = 0.05
-# Share of the largest amplitude that the search starts from, and the most it changes by at once.
+# Share of the largest amplitude where the search begins, and largest factor of one change.
 FIRST_SHARE = 0.05
 LARGEST_FACTOR = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Noise:
-    """Size of the errors of a trial: standard deviations [mm], [deg] and what they share."""
+    """Errors of a trial: standard deviations [mm], [deg] and the correlation within it."""
 
     sd_mm: float
     sd_deg: float
     correlation: float
 
     def whitened(self, values: Array) -> Array:
-        """Values ``(n, 5, ...)`` in units of independent errors of size 1."""
+        """Values ``(n, 5, ...)`` as combinations whose errors are independent with variance 1."""
         shared = np.full((5, 5), self.correlation)
         np.fill_diagonal(shared, 1.0)
         sd = np.array([self.sd_mm] * 3 + [self.sd_deg] * 2)
@@ -129,23 +129,23 @@ class LigamentFit:
     """The best fit of the ligament parameters alone."""
 
     theta: Array = entry("Stiffnesses [kN], then reference strains [%]")
-    run: ExperimentRun = entry("The run there")
-    signal: float = entry("Root of the chi-square left")
+    run: ExperimentRun = entry("The simulated experiment at these parameters")
+    signal: float = entry("Root of the remaining chi-square")
 
 
 @declared
 class SizedAmplitude:
-    """An amplitude for a wanted signal."""
+    """The amplitude that gives a wanted signal."""
 
     amplitude: float = entry("Amplitude in the effect's unit, > 0")
-    signal: float = entry("Signal that it gives")
+    signal: float = entry("Signal at this amplitude")
     is_largest: bool = entry(
         "Whether the search ended at the largest plausible amplitude short of the wanted signal"
     )
 
 
 def unexplained_norm(slopes: Array, change: Array, noise: Noise) -> float:
-    """Length of what `slopes` (n, 5, p) cannot absorb of a `change` (n, 5), in units of noise."""
+    """Norm of the part of a `change` (n, 5) that `slopes` (n, 5, p) cannot fit, in noise units."""
     columns = noise.whitened(slopes).reshape(-1, slopes.shape[2])
     white = noise.whitened(change).ravel()
     share = np.linalg.lstsq(columns, white, rcond=None)[0]
@@ -155,8 +155,8 @@ def unexplained_norm(slopes: Array, change: Array, noise: Noise) -> float:
 def base_fit(base: Experiment, target: Array, noise: Noise, start: LigamentFit) -> LigamentFit:
     """Best fit of `base`, an experiment without effect, to coordinates `target` ``(n, 5)``.
 
-    Damped Gauss-Newton from a fit nearby. A step after which a trial has no equilibrium is refused
-    like one that fits worse.
+    Damped Gauss-Newton from a fit nearby. A step is rejected if it fits worse or leaves a trial
+    without equilibrium.
     """
     m = len(start.theta) // 2
     theta, run = start.theta, start.run
@@ -198,8 +198,8 @@ def amplitude_for_signal(
     Parameters
     ----------
     projected, fitted
-        Signal at an amplitude: what the slopes of the parameters leave of its effect, and what
-        their best fit leaves, which takes longer; None where a trial has no equilibrium.
+        Signal at an amplitude, by the linear model of the parameters and by their best fit, which
+        takes longer; None where a trial has no equilibrium.
     wanted, largest
         Signal to reach, and the end of the search.
     """
@@ -224,7 +224,7 @@ def _searched(
 
 
 def _next(known: list[tuple[float, float]], wanted: float) -> float:
-    """Where the signal, a power of the amplitude, should be as wanted."""
+    """The next amplitude to try, if the signal is a power of the amplitude."""
     below = [x for x in known if x[1] < wanted]
     above = [x for x in known if x[1] >= wanted]
     last = known[-1]
@@ -243,15 +243,18 @@ def _next(known: list[tuple[float, float]], wanted: float) -> float:
 
 
 RANDOM = "random"
-# Shares of what "random" draws: nothing hidden, an effect no library lists; a listed one otherwise.
+# Shares of the cases of "random" without an effect and with an unlisted one; the rest have a listed
+# effect.
 NULL_SHARE, UNLISTED_SHARE = 0.15, 0.15
-SD, CORRELATION = 0.3, 0.3  # mm and deg
+SD, CORRELATION = 0.3, 0.3  # mm and deg, and within a trial
+# Share of the cases whose errors have heavy tails: Student's t with so many degrees of freedom.
 HEAVY_SHARE, HEAVY_DEGREES = 0.1, 5.0
+# Range of the stated standard deviation over the true one.
 STATED_RANGE = (0.8, 1.2)
-# Share of the cases with another effect that also state the order of their trials.
+# Share of the cases that state the order of their trials although no effect depends on it.
 ORDER_SHARE = 0.3
 MOST_DRAWS = 40
-# After so many draws without equilibria the errors of the knee are drawn again too.
+# Draws without equilibrium after which the errors of the knee are drawn again too.
 DRAWS_A_KNEE = 4
 
 
@@ -262,11 +265,11 @@ class BlindCase:
     Attributes
     ----------
     laxity
-        The data as they are handed out: noisy, with the stated standard deviations.
+        The data given to the diagnosis: noisy, with the stated standard deviations.
     truth
-        What is behind them.
+        The hidden effects and true parameters.
     noise_free
-        The same without errors.
+        The data without errors.
     tensions
         True tension of each ligament in each trial [N], shape ``(n, m)``.
     """
@@ -279,7 +282,7 @@ class BlindCase:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Found:
-    """A draw of parameters and effects all of whose trials have an equilibrium, and the knee."""
+    """A draw of parameters and effects, and its experiment, with equilibrium in every trial."""
 
     theta: Array
     own: Experiment
@@ -302,30 +305,30 @@ def blind_case(
 ) -> BlindCase:
     """A data set of `knee` with a hidden effect; the same seed gives the same numbers.
 
-    True ligament parameters are drawn around the subject's, the places of a missing structure
-    around its anatomical ones. A draw in which a trial finds no equilibrium or leaps is drawn
-    again.
+    True ligament parameters are drawn around the subject's, the insertions of a missing structure
+    around its anatomical sites. The draw is repeated if a trial has no equilibrium or jumps to
+    another one, or if contact comes close to a rim.
 
     Parameters
     ----------
     knee
-        The subject, whose surfaces and insertions the model is given too.
+        The subject; its surfaces and insertions are also those of the model under test.
     seed
         Seed of everything random, >= 0.
     effect
-        A name in `EFFECTS`, several of them, ``"random"`` for whatever the seed says, which may be
-        nothing, or None for nothing.
+        A name in `EFFECTS`, several of them, ``"random"`` for one drawn by the seed, which may also
+        draw none, or None for no effect.
     signal
-        Root of the chi-square that the best fit of the ligament parameters alone leaves of the
-        noise-free data, in units of the true noise; each effect is sized for it by itself. Sizes
-        from the literature where None.
+        Root of the chi-square of the best fit of the ligament parameters alone to the noise-free
+        data, in units of the true noise. Each effect alone is sized to give this signal. If None,
+        sizes are drawn from those of the literature.
     amplitude
-        Size of the effect in its own unit, in place of one for a signal: the same case once more
-        under another protocol.
+        Size of the effect in its own unit, in place of a signal, as to repeat a case under another
+        protocol.
     protocol
         The trials; ``seed63`` where None.
     conditions
-        What truths, places, contact, errors of the geometry and of the readings are drawn from.
+        Distributions of true parameters, insertions, contact, and errors of geometry and readings.
 
     Raises
     ------
@@ -426,7 +429,7 @@ def _drawn(
     wanted: tuple[Noise, float | None, float | None],
     generator: np.random.Generator,
 ) -> _Found | None:
-    """Parameters and effects drawn and sized; None where a trial has no equilibrium."""
+    """A draw of parameters and sized effects; None if a trial has no equilibrium."""
     noise, signal, amplitude = wanted
     theta = _theta(base, scene, generator)
     if theta is None:
@@ -502,7 +505,7 @@ def _sized(
 
 
 def _usual_size(hidden: Hidden, scene: Scene, generator: np.random.Generator) -> float:
-    """Amplitude > 0 where no signal is wanted."""
+    """Amplitude > 0 drawn from the conditions, or evenly in its logarithm between its limits."""
     spread = scene.conditions.amplitudes.get(hidden.name)
     if spread is None:
         share = generator.random()
@@ -511,9 +514,9 @@ def _usual_size(hidden: Hidden, scene: Scene, generator: np.random.Generator) ->
 
 
 def _theta(base: Experiment, scene: Scene, generator: np.random.Generator) -> Array | None:
-    """True stiffnesses [kN] and reference strains [%]; None where one is of a size that cannot be.
+    """True stiffnesses [kN], then reference strains [%]; None if one exceeds its largest size.
 
-    They lie around the subject's own and are never the same.
+    They are drawn around the subject's own.
     """
     n_lines, conditions = scene.n_lines, scene.conditions
     limit = conditions.largest_shift_pct
@@ -532,7 +535,7 @@ def _theta(base: Experiment, scene: Scene, generator: np.random.Generator) -> Ar
 def _noisy(
     exact: Laxity, noise: Noise, generator: np.random.Generator
 ) -> tuple[Laxity, dict[str, object]]:
-    """The data with errors and what they state about them, and the truth about that."""
+    """The data with errors and stated standard deviations, and the true facts about both."""
     is_heavy = bool(generator.random() < HEAVY_SHARE)
     factors = generator.uniform(*STATED_RANGE, 2)
     noisy = add_noise(
@@ -583,7 +586,7 @@ LAXITY_FILE = "laxity.csv"
 
 
 def write_blind(case: BlindCase, folder: PathLike) -> Path:
-    """Path of the folder that now holds the case: ``laxity.csv`` and the sealed ``truth.json``.
+    """Write a case as ``laxity.csv`` and the sealed ``truth.json``; the path of the folder.
 
     Raises
     ------

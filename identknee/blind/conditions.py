@@ -1,4 +1,4 @@
-"""Distributions that blind cases are drawn from; any of them can be varied."""
+"""Distributions from which blind cases are drawn; each can be replaced."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -11,7 +11,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import EXACTLY, Frame, Knee, UncertainLike, with_stated_uncertainty
 
-# Most draws until one lies between the ends of a distribution.
+# Draws after which a distribution is taken to have hardly any value between its ends.
 MOST_TRIES = 1000
 SIZES = (
     "jitter_mm",
@@ -23,7 +23,7 @@ SIZES = (
     "load_axes_deg",
     "load_gain",
 )
-# What can be drawn wrong: the name it is stated by, and that of its condition.
+# Names of stated errors, and of the fields of `Conditions` that draw them.
 STATED = {
     "insertions_mm": "insertion_mm",
     "registration_deg": "registration_deg",
@@ -46,7 +46,7 @@ class TruncatedNormal:
     center
         Mean.
     lower, upper
-        Ends, which values do not pass.
+        Limits of the values.
     """
 
     sd: float
@@ -66,7 +66,7 @@ class TruncatedNormal:
             )
 
     def value(self, generator: np.random.Generator) -> float:
-        """A value between the ends."""
+        """A random value between the limits."""
         for _ in range(MOST_TRIES):
             drawn = float(generator.normal(self.center, self.sd))
             if self.lower <= drawn <= self.upper:
@@ -79,7 +79,7 @@ class TruncatedNormal:
     def size(
         self, generator: np.random.Generator, *, n: int = 1, over: float = 1.0, sign: float = 1.0
     ) -> float:
-        """Length of a vector of `n` normal values over `over`, within the ends times `sign`."""
+        """Norm of `n` normal values, divided by `over`; `sign` times it is within the limits."""
         for _ in range(MOST_TRIES):
             drawn = self.sd * float(np.linalg.norm(generator.normal(size=n))) / over
             if self.lower <= sign * drawn <= self.upper:
@@ -103,24 +103,24 @@ class Conditions:
     strain_sd_pct
         Standard deviation of the true reference strains around the subject's [%].
     largest_shift_pct
-        Where a shift of a reference strain is cut off [%].
+        Largest shift of a reference strain; larger ones are clipped [%].
     most_stiffness_kN, most_strain_pct
-        Size beyond which a true parameter is drawn again.
+        Size above which a true parameter is drawn again.
     amplitudes
-        Spread of an effect's amplitudes by its name, for an effect sized without a signal; the
-        sizes of the literature where it is missing.
+        Distribution of the amplitudes of effects by name, if no signal is wanted; other effects
+        are sized from the literature.
     structure_strain_pct
-        Spread of the slack strain of structures [%]; evenly from 1 to 5 where None.
+        Distribution of the slack strain of structures [%]; uniform from 1 to 5 if None.
     exponents
-        Ends of the range that the exponent of the contact law is drawn from evenly.
+        Limits of the uniform distribution of the exponent of the contact law.
     jitter_mm
-        Standard deviation of each coordinate of a structure's places around its anatomical ones.
+        Standard deviation of each coordinate of a structure's insertions around anatomical sites.
     shift_mm
-        Distance that each place of a structure lies from there, in a direction drawn anew, in
-        place of the jitter; None for the jitter.
+        Distance of each insertion of a structure from its anatomical site, in a random direction,
+        in place of the jitter; None for the jitter.
     remount_mm, remount_deg
-        Standard deviation of an error that all trials of a flexion angle have in common, one for
-        each coordinate: the knee was mounted again.
+        Standard deviation of an error of each coordinate that all trials of a flexion angle share,
+        as if the knee was mounted again for each angle.
     insertion_mm
         Standard deviation of each coordinate of the insertions around those given.
     registration_deg, registration_mm
@@ -162,7 +162,7 @@ class Conditions:
 
     @property
     def has_stated_errors(self) -> bool:
-        """Whether the given geometry has errors."""
+        """Whether the given geometry or loads have errors."""
         sizes = (self.insertion_mm, self.registration_deg, self.registration_mm)
         return max(*sizes, self.load_axes_deg, self.load_gain) > 0.0
 
@@ -184,7 +184,7 @@ STANDARD = Conditions()
 
 
 def stated_conditions(uncertain: UncertainLike) -> Conditions:
-    """The standard conditions with what is given wrong by the stated amount.
+    """The standard conditions with errors of the given geometry and loads of the stated size.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def stated_conditions(uncertain: UncertainLike) -> Conditions:
     Raises
     ------
     ValueError
-        If something is stated to be uncertain that the generator always takes as exact.
+        If an error is stated that the generator cannot draw.
 
     Examples
     --------
@@ -216,16 +216,15 @@ GAINS = tuple(
     f"load_gain.{x}"
     for x in ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
 )
-# Two places [mm] or frames [deg] that differ by less are equal.
+# Error [mm, deg or relative] below which it is rounding.
 ROUNDING = 1e-9
 
 
 def knee_with_errors(knee: Knee, conditions: Conditions, generator: np.random.Generator) -> Knee:
     """The knee as it is in the rig, where the one given has errors of the stated size.
 
-    Insertions lie elsewhere, with reference lengths measured between them in the scanned pose; and
-    the frames that the rig works with are others than those given, so that loads, flexion and
-    readings all belong to them.
+    Insertions are shifted, with reference lengths measured between them in the scanned pose. The
+    frames of the rig differ from those given; loads, flexion and readings belong to the former.
     """
     shifts = conditions.insertion_mm * generator.standard_normal((len(knee.ligaments), 2, 3))
     femur, tibia = (
@@ -244,7 +243,7 @@ def knee_with_errors(knee: Knee, conditions: Conditions, generator: np.random.Ge
 
 @declared
 class LoadErrors:
-    """What the loads that act differ by from those stated."""
+    """Differences between the loads that act and those stated."""
 
     gains: Array = entry("Scale of each kind of load less 1, shape ``(5,)``")
     turn_deg: Array = entry("Turn of their axes [deg], shape ``(3,)``")
@@ -254,14 +253,14 @@ NO_ERRORS = LoadErrors(gains=np.zeros(5), turn_deg=np.zeros(3))
 
 
 def load_errors(conditions: Conditions, generator: np.random.Generator) -> LoadErrors:
-    """Errors of the loads, of the stated size."""
+    """Random errors of the loads, of the size in `conditions`."""
     gains = conditions.load_gain * generator.standard_normal(5)
     turn_deg = conditions.load_axes_deg * generator.standard_normal(3)
     return LoadErrors(gains=gains, turn_deg=turn_deg)
 
 
 def with_load_errors(experiment: Experiment, errors: LoadErrors) -> Experiment:
-    """The experiment with loads along turned axes, each kind of a size of its own."""
+    """The experiment with loads along turned axes, and each kind scaled by its own gain."""
     turn = Rotation.from_rotvec(np.radians(errors.turn_deg)).as_matrix()
     # Varus about the anterior axis, internal about the superior one; distraction points down.
     loads = experiment.loads * (1.0 + errors.gains)
@@ -274,7 +273,7 @@ def with_load_errors(experiment: Experiment, errors: LoadErrors) -> Experiment:
 
 
 def true_errors(given: Knee, actual: Knee, loads: LoadErrors) -> dict[str, float]:
-    """Every error that is not zero, by the name of the nuisance that stands for it."""
+    """All errors that are not zero, by the names of the nuisances that stand for them."""
     found: dict[str, Array] = {}
     for before, after in zip(given.ligaments, actual.ligaments, strict=True):
         name = f"insertion.{before.name}"

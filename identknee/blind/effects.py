@@ -37,7 +37,7 @@ LISTED: MappingProxyType[str, Draw] = MappingProxyType(
         "drift": rig.drift,
     }
 )
-# Effects that no library lists: the right answer is that the cause has no name.
+# Effects that the library does not list: the right diagnosis is that the cause has no name.
 UNLISTED: MappingProxyType[str, Draw] = MappingProxyType(
     {
         "missing_line": structures.missing_line,
@@ -48,8 +48,7 @@ UNLISTED: MappingProxyType[str, Draw] = MappingProxyType(
         "one_way_yield": rig.one_way_yield,
     }
 )
-# Effects that a diagnosis can name, which are hidden only where they are asked for by name: what
-# the seeds of earlier cases draw stays as it was.
+# Listed effects that "random" does not draw, so that earlier seeds still give the same cases.
 BY_NAME: MappingProxyType[str, Draw] = MappingProxyType(
     {"meniscal_wedge": structures.meniscal_wedge}
 )

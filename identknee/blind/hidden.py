@@ -1,4 +1,4 @@
-"""A hidden effect as drawn for one case, and the places of bone that structures are put at."""
+"""A hidden effect as drawn for one case, and the anatomical sites of structures."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -22,19 +22,19 @@ from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.subject.knee import Knee
 
-# Distance of the epicondyles in the knee the offsets below were written down for [mm].
+# Distance between the epicondyles of the average knee to which the offsets below refer [mm].
 EPICONDYLES_MM = 83.0
 
 
 @declared
 class AnatomicalSites:
-    """Anatomy of a right knee in its scanned pose [mm], the places of a bone in its frame."""
+    """Anatomy of a right knee in its scanned pose [mm], points of each bone in its frame."""
 
     scale: float = entry("Size of the knee over that of an average one")
-    medial: int = entry("Number of the medial collateral ligament among the ligaments")
-    lateral: int = entry("Number of the lateral collateral ligament")
-    front: int = entry("Number of the anterior cruciate ligament")
-    rear: int = entry("Number of the posterior cruciate ligament")
+    medial: int = entry("Index of the medial collateral ligament among the ligaments")
+    lateral: int = entry("Index of the lateral collateral ligament")
+    front: int = entry("Index of the anterior cruciate ligament")
+    rear: int = entry("Index of the posterior cruciate ligament")
     epicondyles: Array = entry(
         "Medial and lateral femoral end of the collaterals, shape ``(2, 3)``"
     )
@@ -42,7 +42,7 @@ class AnatomicalSites:
         "Lowest corner, centroid and highest corner of the medial and lateral plateau, shape "
         "``(2, 3, 3)``"
     )
-    fibula: Array = entry("Where the lateral collateral ends, shape ``(3,)``")
+    fibula: Array = entry("Distal end of the lateral collateral ligament, shape ``(3,)``")
     femur: Array = entry("Lowest and highest corner of the femoral surface, shape ``(2, 3)``")
 
 
@@ -123,7 +123,7 @@ def structure_insertions(places: AnatomicalSites) -> dict[str, tuple[Array, Arra
 
 @declared
 class Scene:
-    """What an effect is drawn for."""
+    """The knee and the trials that an effect is drawn for."""
 
     places: AnatomicalSites = entry("Anatomy of the knee")
     n_lines: int = entry("How many ligaments the knee has")
@@ -133,7 +133,7 @@ class Scene:
     load_Nm: Array = entry("Stated internal and varus moment of each trial [N·m], shape ``(n, 2)``")  # noqa: N815 - newton metres
     order: IntArray = entry("When each trial was made, 1 to n")
     is_unloading: BoolArray = entry("Whether the load was coming down, shape ``(n,)``")
-    conditions: Conditions = entry("What places and slack strains are drawn from")
+    conditions: Conditions = entry("Distributions of insertions and slack strains")
 
 
 @declared
@@ -156,10 +156,10 @@ class Hidden:
         "Femoral and tibial end of a line structure in the bones' frames [mm]", default=None
     )
     n_numbers: int = entry(
-        "How many numbers of equal spread the amplitude is the length of", default=1
+        "Number of components with equal spread whose norm is the amplitude", default=1
     )
     over: float = entry(
-        "What that length is divided by: a root mean square has the root of their number",
+        "Divisor of that norm: the root of the number of components for a root mean square",
         default=1.0,
     )
 
@@ -179,8 +179,9 @@ def hidden(
 ) -> Hidden:
     """An effect whose parameters are proportional to its amplitude, but for the `fixed` ones.
 
-    `size` is the unit of the amplitude, then the smallest and the largest of the literature. A
-    share is one of this unit, or comes with its own. `more` as in `Hidden`.
+    `size` is the unit of the amplitude, then its smallest and its largest value in the literature.
+    `shares` are the parameters over the amplitude, in its unit or with their own. `more` has
+    further fields of `Hidden`.
     """
     unit, smallest, largest = size
     by_name = {k: x if isinstance(x, tuple) else (x, unit) for k, x in shares.items()}

@@ -1,4 +1,4 @@
-"""How a diagnosis compares with the truth."""
+"""Comparison of a diagnosis with the truth."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,9 +10,9 @@ from identknee.blind.truth import Truth
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 
-# A line found this near to the true one is the true one.
+# Distance and angle to the true line within which a line found counts as the true one.
 NEAR_MM, NEAR_DEG = 10.0, 15.0
-# Errors common to the trials of a flexion angle, as a diagnosis names them.
+# Name that a diagnosis gives to errors common to the trials of a flexion angle.
 REMOUNTING = "remounting"
 ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED = "ADEQUATE", "NAMED", "AMBIGUOUS", "UNEXPLAINED"
 
@@ -30,7 +30,7 @@ class Score:
     in_group: bool | None = entry(
         "Whether all that is hidden is among the causes named and the group; null for a null"
     )
-    sentence: str = entry("All this for a person")
+    sentence: str = entry("The comparison as a sentence")
     line_offset_mm: float | None = entry(
         "Distance of the line found from the middle of the true one; null without either", unit="mm"
     )
@@ -57,10 +57,10 @@ class Score:
 def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     """Score of a diagnosis, the parsed ``result.json`` of `identknee diagnose`.
 
-    Read are ``verdict``, ``causes[].{name,parameters,line}``, each parameter with its ``ci95``,
-    ``group[]``, ``line`` with its ends ``femur`` and ``tibia`` [mm], and ``parameters_before`` and
-    ``parameters_after``, numbers by ligament and quantity, with their intervals under the same
-    names ending in ``_ci95``.
+    The entries used are ``verdict``, ``causes[].{name,parameters,line}``, each parameter with its
+    ``ci95``, ``group[]``, and ``line`` with its ends ``femur`` and ``tibia`` [mm]. Parameters by
+    ligament and quantity are in ``parameters_before`` and ``parameters_after``, and their intervals
+    under the same names ending in ``_ci95``.
 
     Raises
     ------
@@ -73,14 +73,14 @@ def score(truth: Truth, diagnosis: Mapping[str, Any]) -> Score:
     named = {str(x["name"]) for x in diagnosis.get("causes") or ()}
     group = {str(x) for x in diagnosis.get("group") or ()}
     hidden = set(truth.effects)
-    # There beside what is hidden, named or not.
+    # Errors of remounting are no hidden effect: a diagnosis may name them or not.
     mounted = {REMOUNTING} if truth.facts.get("largest_remounting", 0.0) else set()
     is_named = verdict == NAMED
     given = [diagnosis.get("line"), *(x.get("line") for x in diagnosis.get("causes") or ())]
     found = [_line(truth, x) for x in given]
     known = [(offset, angle) for offset, angle in found if offset is not None]
     offset, angle = min(known, key=lambda x: x[0], default=(None, None))
-    # A structure is where its line runs, whatever it is called.
+    # An unlisted structure is found if its line is, under whatever name.
     is_there = offset is not None and angle is not None and offset < NEAR_MM and angle < NEAR_DEG
     is_placed = is_there and bool(hidden & set(UNLISTED))
     correct = {

@@ -1,4 +1,4 @@
-"""What is behind a blind data set, and the sealed file it is kept in."""
+"""The truth of a blind data set, and the sealed file that holds it."""
 
 import base64
 import json
@@ -27,7 +27,7 @@ class Amplitude(NamedTuple):
 
 
 class TruthFile(Part):
-    """The sealed part, opened."""
+    """Schema of the sealed part of the file."""
 
     seed: int
     effects: list[str]
@@ -53,8 +53,8 @@ class Truth:
     seed: int = entry("Seed that it was drawn with", unit="1")
     effects: tuple[str, ...] = entry("Names of the hidden effects; none for a null")
     amplitudes: Mapping[str, Mapping[str, tuple[float, str]]] = entry(
-        "Value and unit of each effect's amplitudes by the names of the library's parameters; the "
-        "one called amplitude is what it was sized by"
+        "Value and unit of each effect's amplitudes by the names of the library's parameters; "
+        "`amplitude` is the size that was drawn"
     )
     theta: Mapping[str, float] = entry("True ligament parameters by name", unit=OF_PARAMETER)
     signal: float = entry(
@@ -71,8 +71,8 @@ class Truth:
     )
     facts: Mapping[str, object] = entry("The noise and how often the draw was repeated")
     stated_errors: Mapping[str, float] = entry(
-        "How wrong what is given was drawn [mm, deg, or relative], by the name of the nuisance "
-        "that stands for it; empty where it is exact",
+        "Errors of the given geometry and loads as drawn [mm, deg, or relative], by the name of "
+        "the nuisance that stands for each; empty where all is exact",
         default_factory=dict,
     )
 
@@ -84,7 +84,7 @@ class Truth:
 
 
 def write_truth(truth: Truth, folder: PathLike) -> Path:
-    """Path of the sealed file in `folder`, which is not read by accident.
+    """Write the sealed file, which nobody reads by accident, to `folder`; its path.
 
     Raises
     ------
