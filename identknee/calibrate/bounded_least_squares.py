@@ -20,8 +20,9 @@ The deviance ``D(theta) = |r(theta)|^2`` is minimised over ``lower <= theta <= u
    target; at a cliff every such step within the trust region has no prediction; else the search
    ends as a valley.
 
-It is the method near a minimum and with a constraint; `identknee.calibrate.least_squares` descends
-from far away, where slack ligaments have no slope and an active set is trapped at bounds.
+This is the method near a minimum and with a constraint. Far from a minimum slack ligaments have no
+derivatives and an active set is trapped at bounds: there `identknee.calibrate.least_squares` is
+used.
 
 References
 ----------
@@ -71,11 +72,11 @@ LEAST_DIAGONAL = 1e-6
 class BoundedStep:
     """The constrained minimum of a linear model, with its active bounds."""
 
-    step: Array = entry("Shape ``(n,)``")
+    step: Array = entry("The step, shape ``(n,)``")
     multiplier: float = entry(
         "Derivative of half the sum of squares by the constraint's right-hand side"
     )
-    is_held: BoolArray = entry("Which components a bound keeps from going lower, shape ``(n,)``")
+    is_held: BoolArray = entry("Which components are at an active bound, shape ``(n,)``")
 
 
 def bounded_step(
@@ -95,11 +96,11 @@ def bounded_step(
     bounds
         Lower and upper bounds of d, shapes ``(n,)``; zero lies between them.
     constraint
-        Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is brought into the range
+        Vector a, shape ``(n,)``, and number c of the plane ``a d = c``; c is clipped to the range
         that the bounds allow.
     """
     n, rows = matrix.shape[1], np.column_stack([matrix, data])
-    # There is nothing to factorise that would take long.
+    # A large matrix that is triangular already needs no factorisation.
     is_done = len(rows) <= n + 1 > LARGE and not np.tril(rows, -1).any()
     triangle = rows if is_done else np.asarray(np.linalg.qr(rows, mode="r"))
     return _ActiveSet(triangle[:n, :n], triangle[:n, n], bounds, constraint).solve()
@@ -115,7 +116,7 @@ def nearest_attainable(normal: Array, bounds: tuple[Array, Array], wanted: float
 def feasible_point(normal: Array, bounds: tuple[Array, Array], wanted: float) -> Array:
     """A feasible point at which ``normal d`` equals `wanted`; one must exist.
 
-    It is the point of the shortest way along the normal, cut off at the bounds.
+    It is reached by steps along the normal that are clipped to the bounds.
     """
     step = np.zeros(normal.size)
     is_free = normal != 0.0
@@ -211,8 +212,8 @@ def _initial_point(
 ) -> tuple[Array, BoolArray]:
     """A feasible point near the minimum, and the bounds active there.
 
-    All components that a bound stops or releases change sides at once, which seldom takes more than
-    a few rounds but need not end: a beginning for a search that does.
+    All components that a bound stops or releases change at once. This usually takes a few rounds,
+    but may not converge, so that it only gives the start of the active-set search.
 
     References
     ----------
@@ -290,12 +291,12 @@ def _null_space(normal: Array) -> Array:
     return np.linalg.qr(normal[:, None], mode="complete")[0][:, 1:]
 
 
-# Longest step, in conditional standard deviations, at which models of remembered points are used,
-# and how near these points must lie, in lengths of that step.
+# Longest step, in conditional standard deviations, for which models of remembered points are used,
+# and largest distance of these points, in lengths of that step.
 LONGEST, NEARBY = 2.0, 2.0
-# How many points are remembered.
+# Number of remembered points.
 REMEMBERED = 12
-# How often the shares of two models are exchanged, and how many exchanges of each pair are tried.
+# Most exchanges of weight between two models, and most sizes tried of one exchange.
 MOST_EXCHANGES, MOST_TRIED = 12, 40
 
 
@@ -316,7 +317,7 @@ class KinkModels:
         return bool(self._points)
 
     def remember(self, point: LinearisedResiduals) -> None:
-        """Add a point at either end of a step that achieved less than predicted."""
+        """Remember a point, one end of a step that achieved less than predicted."""
         self._points = [point, *self._points[: REMEMBERED - 1]]
 
     def models(
@@ -324,10 +325,11 @@ class KinkModels:
     ) -> Array:
         """Linear models of the residuals around a point, its own first, ``(k, n + 1, n + 1)``.
 
-        Each is a triangle whose product with a step, in parameters divided by `scales`, and a one
-        has the model's deviance as its sum of squares. Of the points remembered those count that
-        lie about as near as the step leads and whose model has the deviance at `at` no higher than
-        it is: between them and `at` the deviance bends upward. None does where the step is long.
+        Each is a triangular matrix. Its product with a step, in parameters divided by `scales`,
+        followed by a 1, has the deviance of the model as its sum of squares. A remembered point
+        counts if it is about as near as the step is long and if its model has no higher deviance at
+        `at` than the true one: between the two the deviance then bends upward. For a long step no
+        remembered point counts.
 
         Parameters
         ----------
@@ -336,10 +338,10 @@ class KinkModels:
         scales
             Conditional standard deviations, shape ``(n,)``.
         length
-            Largest component of the step that the own model leads to, in these.
+            Largest component of the step by the own model, in conditional standard deviations.
         slack
-            How much higher than it is another model may have the deviance at `at`, as from a point
-            that is not quite on a kink.
+            Excess of the deviance of another model at `at` that is allowed, since remembered points
+            are not exactly on a kink.
         """
         most = float(at.residuals @ at.residuals) + slack
         models = [_triangle(at, at, scales)]
@@ -357,8 +359,8 @@ def minimise_max_model(
 ) -> tuple[BoundedStep, float]:
     """The step that minimises the maximum of several models, and the deviance there.
 
-    It is found through its dual: a weighted sum of the models whose minimum is as high as can be.
-    That sum also has the multiplier of the constraint on the kink.
+    It is found by the dual problem: the weighted sum of the models with the highest minimum. That
+    sum also gives the multiplier of the constraint on the kink.
 
     Parameters
     ----------
@@ -367,7 +369,7 @@ def minimise_max_model(
     box, constraint
         As for `identknee.calibrate.bounded_least_squares.bounded_step`.
     gap
-        How far below the height of the step the deviance returned may be.
+        Largest duality gap: how far the deviance returned may be below that of the step.
     """
     weights = np.zeros(len(models))
     weights[0] = 1.0
@@ -402,11 +404,11 @@ class _Dual:
         return step, np.sum((self._models @ np.append(step.step, 1.0)) ** 2, axis=1)
 
     def best_share(self, weights: Array, exchange: Array, slope: float, gap: float) -> float:
-        """The share of an exchange of weights at which the minimum of the sum is highest, up to 1.
+        """The share of an exchange of weights, up to 1, at which the minimum of the sum is highest.
 
-        By halving; of many parameters by false position, which takes fewer minima, where an end
-        that stays twice counts half (the Illinois method). `slope` is that of the minimum at no
-        exchange; at the share found it is at most `gap`.
+        It is found by bisection; with many parameters by false position with the Illinois
+        correction, which computes fewer minima. `slope` is the derivative of the minimum without
+        exchange; at the share found its size is at most `gap`.
         """
         is_large = self._models.shape[2] - 1 > LARGE
         ends, slopes, share, last = [0.0, 1.0], [slope, slope], 1.0, -1
@@ -426,7 +428,7 @@ class _Dual:
         return share
 
     def _rows(self, weights: Array) -> Array:
-        """Rows whose product with a step and a one has the weighted sum as its sum of squares."""
+        """Matrix whose product with a step and a 1 has the weighted sum as its sum of squares."""
         used = np.flatnonzero(weights > 0.0)
         n = self._models.shape[2] - 1
         if n > LARGE and len(used) > 1:
@@ -451,7 +453,7 @@ def _triangle(of: LinearisedResiduals, at: LinearisedResiduals, scales: Array) -
     return np.column_stack([root[:, :-1] * scales, data])
 
 
-# Steps are planned more than once from a point, and those remembered count in many plans.
+# Cached, because a point is used in many steps.
 @lru_cache(maxsize=REMEMBERED + 4)
 def _root(of: LinearisedResiduals) -> Array:
     """A triangular factor of derivatives and residuals, shape ``(n + 1, n + 1)``."""

@@ -6,13 +6,13 @@
    parameters on them (`gauss_newton`).
 3. Cliffs: where every longer step has no prediction, points are tried in coordinates in which the
    linear model is a distance, ``|y - y*|^2`` with ``J = U S V'``, ``y = S V' d`` and
-   ``y* = -U'r``: along single components of y*, then along y* tilted sideways
+   ``y* = -U'r``: along single components of y*, then along y* tilted to the side
    (`descent_around_cliff`).
 4. Stopping: at a minimum the Gauss-Newton step within the bounds vanishes or predicts less than
    rounding, ``-2 r'J d - |J d|^2``; on a kink no step goes down and it predicts next to nothing.
 
-It exists beside `identknee.calibrate.bounded_least_squares` because it stays off the bounds on the
-way: far from the minimum it arrives more often (`minimise_by_least_squares` has the counts).
+Unlike `identknee.calibrate.bounded_least_squares` it keeps away from the bounds during the search,
+and so reaches the minimum from far away more often (see `minimise_by_least_squares` for counts).
 
 References
 ----------
@@ -48,9 +48,9 @@ ROUNDING = 1e-14
 class GaussNewton:
     """The best step within the bounds by the linear model of the residuals."""
 
-    step: Array = entry("To be added to theta, shape ``(n,)``")
+    step: Array = entry("The step of theta, shape ``(n,)``")
     length: float = entry("Largest component of the step, in typical steps (3 kN, 2 %)")
-    reduction: float = entry("How much lower the linear model has the deviance there")
+    reduction: float = entry("Reduction of the deviance that the linear model predicts")
     is_on_a_kink: bool = entry(
         "Whether the reduction is so small that a search which cannot go on is at a minimum "
         "where the derivatives of both sides point at each other"
@@ -65,7 +65,7 @@ class GaussNewton:
 
 
 def gauss_newton(here: Evaluation, parameters: Parameters) -> GaussNewton:
-    """The Gauss-Newton step from an evaluation, parameters at a bound included."""
+    """The Gauss-Newton step from an evaluation within the bounds of the parameters."""
     scales = typical_steps(parameters)
     scaled = here.jacobian * scales
     low, high = (parameters.lower - here.theta) / scales, (parameters.upper - here.theta) / scales
@@ -101,10 +101,10 @@ def descent_around_cliff(
     """A feasible point clearly lower than `theta`, shape ``(n,)``; None if there is none.
 
     The singular vectors of the Jacobian turn the deviance into the distance from a target. First
-    the components of the way to the target are tried one by one: where stiff and soft directions
-    are mixed, often some of them are free. If all are blocked, the way itself is tilted sideways,
-    along each of the directions across it and then away from those that were blocked, which
-    slides along the cliff.
+    the components of the step to the target are tried one by one: where stiff and soft directions
+    are mixed, some of them often stay off the cliff. If all meet it, the step is tilted towards
+    each direction orthogonal to it, and then away from the directions that met the cliff, which
+    moves along it.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def descent_around_cliff(
     theta
         A point before a cliff, shape ``(n,)``, within the bounds.
     generator
-        Turns the sideways directions, so that a second try differs from the first.
+        Rotates the orthogonal directions at random, so that a second attempt differs.
     """
     poll = _Poll(evaluator, theta)
     if poll.distance == 0.0:
@@ -136,7 +136,7 @@ def descent_around_cliff(
 
 
 class _Poll:
-    """Trial steps from one point, in coordinates in which the linear model is a distance."""
+    """Steps tried from one point, in coordinates in which the linear model is a distance."""
 
     def __init__(self, evaluator: Evaluator, theta: Array) -> None:
         self._evaluator = evaluator
@@ -189,16 +189,18 @@ def _search_tilted(poll: _Poll, across: Array, tilt: float, length: float) -> Ar
     return poll.lowest((reach * (toward + sideways * away))[None])
 
 
-# Parts of the typical steps (3 kN, 2 %): how close to a cliff is close enough, and how far inside
-# the bounds to start.
+# Distance to a cliff at which a search stops, and distance of a start from the bounds, in typical
+# steps (3 kN, 2 %).
 CLIFF_STEP = 1e-4
 INSIDE = 1e-3
+# scipy's tolerance on a step, and distance of its start from the bounds, relative to theta.
 RELATIVE_STEP = 1e-10
 RELATIVE_START = 1e-9
+# Most descents after a way around a cliff, and most steps of a search with curvature.
 MAX_WAYS = 30
 MOST_STEPS = 200
-# A search creeps when so many simulations lower the deviance by less than this share of it: one to
-# the end, and one that a search which learns curvature takes over.
+# A search ends if so many simulations lower the deviance by less than this share of it. The second
+# pair ends it earlier where a search that estimates the curvature takes over.
 CREEPING, A_CREEP = 40, 1e-5
 CREEPING_SOON, A_CREEP_SOON = 6, 1e-2
 
@@ -208,18 +210,18 @@ def minimise_by_least_squares(
 ) -> Outcome:
     """How bounded least squares from `start` ended.
 
-    scipy's trust-region reflective method does the descent. It stays off the bounds, where a slack
-    ligament has no slope to leave them by: of 300 starts far from the minimum of eight sloppy
-    springs 296 reach it, and 243 by the active set of
+    The descent is scipy's trust-region reflective method. It stays off the bounds, which a slack
+    ligament could not leave again because it has no derivatives: of 300 starts far from the minimum
+    of eight sloppy springs 296 reach it, against 243 by the active set of
     `identknee.calibrate.bounded_least_squares`, which is the method near a minimum and with a
-    constraint. With nuisance parameters that method, which
-    learns the curvature of their bent valleys, takes over where this one creeps. It ends where the
-    Gauss-Newton step within the bounds vanishes, or where no step goes down any more and the
-    derivatives predict next to nothing, as at a minimum on a kink (`minimum`). Where it cannot go
-    on because every longer step has no prediction it tries to get around and goes on
-    from there, or ends (`cliff`). Among nuisances it ends there at once: a way around takes
-    hundreds of simulations, a search from elsewhere one hundred. A start outside the bounds is
-    moved just inside.
+    constraint. With nuisance parameters the latter takes over when the descent becomes slow,
+    because it estimates the curvature of their bent valleys.
+
+    A search ends as a minimum if the Gauss-Newton step within the bounds vanishes, or if no step
+    lowers the deviance and the derivatives predict next to no reduction, as on a kink. If every
+    longer step has no prediction, a way around that cliff is tried, and the search ends as a cliff
+    if there is none. With nuisances no way around is tried: it takes hundreds of simulations, and a
+    search from another start one hundred. A start outside the bounds is moved just inside.
     """
     lower, upper = evaluator.parameters.lower, evaluator.parameters.upper
     margin = np.minimum(INSIDE * typical_steps(evaluator.parameters), 0.1 * (upper - lower))
@@ -239,7 +241,7 @@ def minimise_by_least_squares(
 
 
 def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
-    # Verbs that do not fit, but know what a fit is, start without it.
+    # Imported here, so that verbs without a fit start faster.
     import scipy.optimize
 
     parameters = evaluator.parameters
@@ -253,7 +255,7 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
     if not np.isfinite(evaluator.deviance(theta)):
         return Outcome.CLIFF
     watch = _Monitored(evaluator)
-    # Only the step is left to scipy as a reason to stop: the others are tested in `_Monitored`.
+    # scipy stops by the size of its step only; `_Monitored` tests all other criteria.
     try:
         scipy.optimize.least_squares(
             watch.residuals,
@@ -265,7 +267,7 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
             ftol=None,
             xtol=RELATIVE_STEP,
             gtol=None,
-            # The budget of the evaluator ends it.
+            # The budget of the evaluator ends the search.
             max_nfev=np.iinfo(np.int32).max,
         )
     except SearchEnded as end:
@@ -294,8 +296,8 @@ def _descend(evaluator: Evaluator, theta: Array) -> Outcome:
 class _Monitored:
     """Residuals and Jacobian for scipy, which end its loop when it stagnates.
 
-    It asks for a Jacobian at each point it accepts and nowhere else. It shrinks its steps fourfold
-    after residuals that are not finite, without an end to that.
+    scipy asks for a Jacobian only at points that it accepts. It shortens its step fourfold whenever
+    residuals are not finite, without limit.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:

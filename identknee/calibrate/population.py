@@ -1,7 +1,7 @@
 """Ask-and-tell searches with a population: the paper's Complex method, and others from libraries.
 
-Those start in the paper's box around the start, cut to the parameters' bounds, search within these
-bounds, and know of infinite deviances only that they are worse than all others.
+They begin in the paper's box around the start and stay within the parameters' bounds. To all of
+them an infinite deviance is only worse than any other.
 """
 
 import importlib
@@ -23,7 +23,7 @@ class AskTellSearch(Protocol):
 
     @property
     def population(self) -> Array:
-        """The candidates it now holds, shape ``(k, n)``."""
+        """The current candidates, shape ``(k, n)``."""
 
     def ask(self) -> Array:
         """Candidates to evaluate, shape ``(m, n)``; none if there is no new one."""
@@ -56,10 +56,10 @@ def uniform_box(generator: np.random.Generator, n: int, low: Array, high: Array)
     return generator.uniform(low, high, size=(n, len(low)))
 
 
-# Stands for infinity where a library takes differences of deviances.
+# Deviance in place of infinity for libraries that compute differences of deviances.
 NO_PREDICTION = 1e100
-# scipy's 5,230 jumps all over the bounds: with it, 2,500 simulations of eight springs
-# (tests/support/problems.py) from a start near the minimum never went below the start.
+# scipy's default of 5,230 makes jumps across the whole box: with it, 2,500 simulations of eight
+# springs (tests/support/problems.py) from a start near the minimum never went below the start.
 INITIAL_TEMPERATURE = 10.0
 
 

@@ -57,7 +57,7 @@ from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import EffectChoice, Knee
 from identknee.subject.menisci import MENISCI, plateaus_without_rim
 
-# Sheets of a subject's own capsule that take the place of a structure.
+# Sheets of a subject's own capsule that replace a structure of the library.
 COVERED: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         "anterolateral": frozenset({SHEETS["anterolateral"].group}),
@@ -71,18 +71,18 @@ NEEDS_PHASE, NEEDS_ORDER = frozenset({"hysteresis"}), frozenset({"creep", "drift
 def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> tuple[Effect, ...]:
     """All causes that can be tried on a subject, in the order of `FACTS`.
 
-    Wrapping of the medial collateral ligament is left out where the subject has no such line,
-    menisci where a plateau has no rim, and a structure where a ligament of the subject is called
-    like it or sheets of its capsule cover it. Where the subject's lines are bundles already, those
-    of each ligament are a cause of their own, all of one name.
+    Wrapping of the medial collateral ligament is left out where the subject has no such ligament or
+    it wraps already, menisci where a plateau has no rim, and a structure where a ligament of the
+    subject has its name or sheets of its capsule replace it. Where the subject's ligaments are
+    groups of lines, bundles of each ligament are a cause of their own, all of the same name.
 
     Parameters
     ----------
     knee
         The subject.
     has_order, has_phase
-        Whether it is known when each trial was made, and in which phase of loading: what depends on
-        it is left out otherwise.
+        Whether the order and the phase of loading of the trials are known. Effects that depend on
+        them are left out otherwise.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def effect_named(knee: Knee, name: str) -> Effect:
     Raises
     ------
     ValueError
-        If there is none, or the subject lacks what it acts on.
+        If there is no such effect, or the subject lacks the structure that it acts on.
     """
     scope, _, own = name.rpartition(OF)
     if own not in _MAKERS:
@@ -180,7 +180,7 @@ _MAKERS: Mapping[str, Maker] = MappingProxyType(
 def effects_of(knee: Knee) -> tuple[Effect, ...]:
     """The effects stored with a knee, with its fixed amplitudes fixed.
 
-    Each has the prior of its kind, whatever amplitudes are stored.
+    Priors are those of the library and do not depend on the stored amplitudes.
 
     Raises
     ------
@@ -212,9 +212,9 @@ def choice_of(
     effect
         Effect of the library, a structure, or one of the knee's own.
     amplitudes
-        In the order of the effect's parameters, shape ``(n,)``.
+        Amplitudes in the order of the effect's parameters, shape ``(n,)``.
     fixed
-        Names of amplitudes, without the effect's, that are not to be calibrated.
+        Names of amplitudes, without that of the effect, that stay fixed in calibrations.
 
     Examples
     --------
@@ -279,7 +279,7 @@ OF_THE_KNEE = (InsertionShift, Remounting)
 def knee_with_effects(knee: Knee, found: Iterable[tuple[Effect, Array]]) -> Knee:
     """The subject whose model has these effects with their amplitudes.
 
-    An insertion found elsewhere is moved there, errors of zero are stated.
+    A shifted insertion is moved in the knee, and errors of remounting become stated errors of zero.
     """
     extended, choices = knee, []
     for effect, values in found:

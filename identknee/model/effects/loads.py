@@ -51,10 +51,10 @@ def compression() -> LoadError:
 
 
 def shank_gravity() -> LoadError:
-    """The weight of shank and foot, not taken off the load cell [N].
+    """The weight of shank and foot, where the loads were not corrected for it [N].
 
-    Two components, fixed to the femur since the rig's posture is: along it (distal) and backwards
-    (posterior).
+    Its two components are distal along the femur and posterior. They are fixed to the femur, which
+    the rig holds.
     """
     names, limits = ["distal_N", "posterior_N"], [40.0, 40.0]
     return effect_of(LoadError, "shank_gravity", names, [15.0, 15.0], upper=limits, acted=_weighted)
@@ -73,7 +73,7 @@ def moment_offset() -> LoadError:
 
 
 def axis_misalignment() -> LoadError:
-    """Moments about axes that are not the joint's [deg]: a part acts about the other one."""
+    """Misaligned axes of the moments: a part of each moment acts about the other axis [deg]."""
     names, limits = ["IE_to_VV_deg", "VV_to_IE_deg"], [15.0, 15.0]
     return effect_of(
         LoadError, "axis_misalignment", names, [4.0, 4.0], upper=limits, acted=_misaligned

@@ -31,8 +31,8 @@ FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg
 def femur_frame() -> ReadingError:
     """The femur's axes, as the rig has them, turned about their x and y [deg].
 
-    A turn about z is an offset of flexion. Cross-talk of 1 to 5 deg between flexion and the other
-    rotations is usual where axes come from landmarks; an estimate.
+    A turn about z is an offset of flexion. Turns of 1 to 5 deg, which cause cross-talk between
+    flexion and the other rotations where axes come from landmarks, are an estimate.
     """
     return effect_of(
         *(ReadingError, "femur_frame", ["x_deg", "y_deg"], 2 * [FRAME_SD]),
@@ -53,7 +53,10 @@ def tibia_frame() -> ReadingError:
 
 
 def flexion_offset() -> InputsChange:
-    """How much more the knee was flexed than stated [deg]; 1 to 4 deg is an estimate."""
+    """An error of flexion, positive where the knee was flexed more than stated [deg].
+
+    The size, 1 to 4 deg, is an estimate.
+    """
     names = ["flexion_deg"]
     return effect_of(InputsChange, "flexion_offset", names, [2.0], upper=[8.0], changed=_flexed)
 
@@ -69,7 +72,7 @@ def _of_turned_tibia(coordinates: Array, values: Array, tests: TrialRecord) -> A
 
 def _turns(values: Array) -> Array:
     """Rotation matrices of vectors (3,) or (k, 3) [deg], shape ``(3, 3, k)``."""
-    # Loaded late: it takes longer than a simulation.
+    # Imported here, because the import takes longer than a simulation.
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_rotvec(np.radians(np.atleast_2d(values))).as_matrix()
@@ -77,11 +80,11 @@ def _turns(values: Array) -> Array:
 
 
 def _read(coordinates: Array, tests: TrialRecord, femur: Array, tibia: Array) -> Array:
-    """Coordinates between frames turned from the true ones, their origins where they are.
+    """Coordinates between frames that are turned from the true ones about the same origins.
 
-    The tibial origin is the same point, but its components are those along the axes that the rig
-    has: femoral z, tibial y and the perpendicular to both. The turns, shape ``(3, 3, k)``, are
-    those of k equal parts of the coordinates.
+    The tibial origin is the same point, but its components are taken along the axes of the rig:
+    femoral z, tibial y and the perpendicular to both. Each of the k turns, shape ``(3, 3, k)``,
+    applies to one of k equal parts of the coordinates.
     """
     n = len(coordinates)
     femur, tibia = (np.repeat(x, n // x.shape[2], axis=2) for x in (femur, tibia))
@@ -100,7 +103,7 @@ def _flexed(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
     return replace(setting, flexion=setting.flexion + np.radians(values[0]))
 
 
-# Column of the moment and of the angle that goes with it.
+# Columns of a moment and of the angle about the same axis.
 COLUMNS = {
     "IE": (LOADS.index("internal_moment_Nm"), COORDINATES.index("internal_deg")),
     "VV": (LOADS.index("varus_moment_Nm"), COORDINATES.index("varus_deg")),
@@ -110,8 +113,8 @@ COLUMNS = {
 def rig_compliance(axis: str) -> ReadingError:
     """Rotation of the rig itself about one axis, ``"IE"`` or ``"VV"`` [deg/N·m].
 
-    In proportion to the stated moment and alike at all angles of flexion. 0.01 to 0.05 deg/N·m for
-    pins in bone and 0.2 to 1 deg/N·m for a boot are estimates.
+    It is proportional to the stated moment and the same at all flexion angles. The sizes, 0.01 to
+    0.05 deg/N·m for pins in bone and 0.2 to 1 deg/N·m for a boot, are estimates.
     """
     return effect_of(
         *(ReadingError, f"rig_compliance_{axis}", ["compliance_deg_per_Nm"], [0.1]),
@@ -136,8 +139,8 @@ AXES = tuple(COLUMNS)
 def hysteresis() -> ReadingError:
     """Width of the loops of internal and varus rotation [deg].
 
-    Under a growing load the knee is half a width behind, under a falling one half a width ahead. A
-    trial of neither phase is on neither side. 0.3 to 3 deg is an estimate.
+    Rotations are smaller by half a width during loading, and larger by half a width during
+    unloading; trials in neither phase are unchanged. The size, 0.3 to 3 deg, is an estimate.
     """
     return effect_of(
         *(ReadingError, "hysteresis", [f"{axis}_deg" for axis in AXES], [1.0, 1.0]),
@@ -150,8 +153,8 @@ def hysteresis() -> ReadingError:
 def creep() -> ReadingError:
     """Growth of internal and varus rotation under load [deg per e-fold of the trials made].
 
-    At 10 N·m, and in proportion to the moment: the longer a knee has been tested, the further it
-    gives way, with the logarithm of the time as soft tissue does. The size is an estimate.
+    The growth is that at 10 N·m and proportional to the moment. Like creep of soft tissue, it goes
+    with the logarithm of time, for which the number of trials stands. The size is an estimate.
     """
     return effect_of(
         *(ReadingError, "creep", [f"{axis}_deg" for axis in AXES], [0.5, 0.5]),
@@ -164,8 +167,8 @@ def creep() -> ReadingError:
 def drift() -> ReadingError:
     """Change of each reading from the first trial to the last [mm, deg].
 
-    In proportion to `order`, and nothing halfway: a part that is the same in all trials is no
-    drift. 0.1 to 1 mm or deg is an estimate.
+    The change is linear in `order` and zero halfway, because a constant error is no drift. The
+    size, 0.1 to 1 mm or deg, is an estimate.
     """
     n, names = len(COORDINATES), COORDINATES
     return effect_of(ReadingError, "drift", names, n * [0.5], upper=n * [4.0], read=_with_drift)
@@ -215,7 +218,7 @@ def _turned(coordinates: Array, values: Array, shape: Array) -> Array:
     return read
 
 
-# mm and deg: an estimate of how well a knee comes back to where it was, and the most it may miss.
+# Standard deviation of the pose after remounting, an estimate, and its bound [mm, deg].
 ZERO_SD, FARTHEST = 0.5, 3.0
 
 

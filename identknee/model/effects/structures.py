@@ -15,9 +15,9 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.subject.knee import Knee, Points
 
-SITE_SD = 4.0  # mm, how far insertions are from where anatomy puts them
-SITE_SDS = 3.0  # how many of these they may be away
-SITE_STEP = 1e-4  # mm
+SITE_SD = 4.0  # standard deviation of insertions around their anatomical sites [mm]
+SITE_SDS = 3.0  # bound of a shift, in these standard deviations
+SITE_STEP = 1e-4  # of central differences [mm]
 AXES = ("x", "y", "z")
 SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES)
 
@@ -65,7 +65,7 @@ class MissingStructure:
     ) -> Array:
         """Derivatives of the energy's gradient by the amplitudes at fixed poses, ``(n, 5, a)``.
 
-        Those by the sites are central differences of all lines shifted at once.
+        Derivatives by the shifts are central differences, with all lines shifted together.
         """
         femoral, tibial = self.insertions(values)
         m, strain = len(femoral), PER_PCT * values[1]
@@ -106,7 +106,7 @@ class MissingStructure:
 
 
 def _measured(setting: MechanicsInputs, femoral: Array, tibial: Array) -> LineLigaments:
-    """Lines between insertions, their reference length that of the scanned pose."""
+    """Lines between insertions, with their length in the scanned pose as reference length."""
     lines = LineLigaments(femoral=femoral, tibial=tibial, reference_length=np.ones(len(femoral)))
     return replace(lines, reference_length=setting.lengths_at_start(lines))
 
@@ -134,12 +134,12 @@ SIDES = ("medial", "lateral")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PosteriorCapsule:
-    """The medial and the lateral capsule, stiffnesses of their own and one reference strain.
+    """The medial and the lateral capsule, with two stiffnesses and one reference strain.
 
     Attributes
     ----------
     medial, lateral
-        Structures of one line each, whose sites vary or not alike.
+        Structures of one line each; `sites_vary` must be the same for both.
     parameters
         Both stiffnesses, the strain, then the shifts of the medial and of the lateral line.
     """
