@@ -32,7 +32,7 @@ RIG, TOML = "rig", ".toml"
 # What of `identknee.subject.knee.Uncertainty` belongs to a rig.
 OF_RIG = ("registration_deg", "registration_mm", "load_axes_deg", "load_gain")
 LARGEST_MB = 10
-Text = Annotated[str, custom_message("{} is no text", "Put it in quotes.")]
+Text = Annotated[str, custom_message("{} is not text", "Put it in quotes.")]
 
 
 class ExperimentTable(Part):
@@ -43,9 +43,9 @@ class ExperimentTable(Part):
     superposition: Text | None = None
     reads: Text | None = None
     rig: Text = RIG
-    remounted: Annotated[bool, custom_message("{} is no truth value", "Write true or false.")] = (
-        False
-    )
+    remounted: Annotated[
+        bool, custom_message("{} is not a truth value", "Write true or false.")
+    ] = False
     state: Text = INTACT
     side: Text = ""
 
@@ -112,7 +112,7 @@ def _names(given: Sequence[object], names: Sequence[str]) -> list[str]:
 
 
 def is_experiments(path: Path) -> bool:
-    """Whether a file lists experiments, and is no subject."""
+    """Whether a TOML file lists experiments; otherwise it describes a subject."""
     if path.suffix.lower() != TOML or not path.is_file():
         return False
     return "[[experiments]]" in path.read_text(encoding="utf-8", errors="replace")
@@ -151,7 +151,7 @@ def _of_file(path: Path) -> Laxity:
                 side=x.side,
             )
             table = _in_state(read_laxity(path.parent / x.table), x.state)
-            tables.append((experiment, _with_noise(table, rig.noise)))
+            tables.append((experiment, _with_noise(path, table, x.rig, rig.noise)))
         except ValueRefused as error:
             raise InputError(path, place, error.why, error.advice) from None
     try:
@@ -173,11 +173,11 @@ def _of_file(path: Path) -> Laxity:
 
 
 def _check_kinds(path: Path, experiments: Sequence[ExperimentTable]) -> None:
-    """Refuse experiments that have no table, or two, and what belongs to another kind."""
+    """Refuse experiments without a table or with two, and keys of the other kind of experiment."""
     for i, x in enumerate(experiments, 1):
         why = remedy = ""
         if (x.table is None) == (x.superposition is None):
-            why = "an experiment has a table or a superposition, one of both"
+            why = "an experiment has either a table or a superposition"
             remedy = 'Write table = "FILE.csv" or superposition = "FILE.csv".'
         elif x.table is not None and x.reads is not None:
             why, remedy = "what a cell reads belongs to a superposition", "Remove reads."
@@ -207,7 +207,12 @@ def _of_rig(superposition: Superposition, protocol: Protocol, rig: str) -> Super
 
 
 def _error(path: Path, fault: Fault) -> InputError:
-    place = ", ".join(str(x) for x in (*fault.place, fault.key) if x != "")
+    steps = [x for x in (*fault.place, fault.key) if x != ""]
+    if len(steps) > 1 and steps[0] == "experiments":
+        steps[:2] = [f"[[experiments]] block {int(steps[1]) + 1}"]
+    elif len(steps) > 1 and steps[0] == "rigs":
+        steps[:2] = [f"[rigs.{steps[1]}]"]
+    place = ", ".join(map(str, steps))
     if fault.is_unknown:
         return InputError(path, place, "this word is unknown here", "Remove it.")
     return InputError(path, place, fault.why or "it is missing", fault.remedy or "Add it.")
@@ -228,12 +233,15 @@ def _in_state(laxity: Laxity, state: str) -> Laxity:
     return replace(laxity, protocol=replace(laxity.protocol, state=states))
 
 
-def _with_noise(laxity: Laxity, noise: str | None) -> Laxity:
+def _with_noise(path: Path, laxity: Laxity, rig: str, noise: str | None) -> Laxity:
     """The table with the noise of its rig, where it states none itself."""
     if noise is None or laxity.sd is not None:
         return laxity
     sizes = np.empty(5)
-    sizes[TRANSLATIONS], sizes[ROTATIONS] = noise_sizes(noise, "noise")
+    try:
+        sizes[TRANSLATIONS], sizes[ROTATIONS] = noise_sizes(noise, "noise")
+    except ValueError as error:
+        raise InputError(path, f"[rigs.{rig}]", str(error), "") from None
     return replace(laxity, sd=np.where(laxity.is_measured, sizes, np.nan))
 
 

@@ -59,7 +59,7 @@ class Experiment:
         for kind in ("name", "rig", "mounting"):
             if not _NAME.fullmatch(name := getattr(self, kind)):
                 raise ValueRefused(
-                    f"{name!r} is no name of an experiment, a rig or a mounting",
+                    f"{name!r} is not a name for an experiment, a rig or a mounting",
                     "use letters, digits, -, _ and spaces",
                 )
         for part, most in zip(LOAD_CELL, LARGEST_OFFSET, strict=True):

@@ -12,7 +12,8 @@ from identknee.runs.declare import array, declared
 
 _COLUMN = re.compile(r"(?P<ligament>.+)_tension_N|contact_(?P<side>medial|lateral)_N")
 SD = "sd_"
-# A load cell reads a slack ligament as a little more or less than 0; no noise goes beyond this.
+# The reading of a slack ligament scatters around 0. Below minus this many standard deviations it is
+# not noise.
 MOST_BELOW_ZERO = 4.0
 
 
@@ -27,7 +28,7 @@ class MeasuredForces:
     """
 
     names: tuple[str, ...] = array(
-        "Predicted quantity that each is, such as `ACL.tension_N`", "force", is_in_arrays=False
+        "Name of the predicted quantity, such as `ACL.tension_N`", "force", is_in_arrays=False
     )
     values: Array = array("Forces; NaN where not measured", "trial", "force", unit="N")
     sd: Array = array("Standard deviation of their errors", "trial", "force", unit="N")

@@ -1,4 +1,4 @@
-"""Standard deviations of measured values: what sizes they can have, and how they are written."""
+"""Standard deviations of measured values: their plausible range, and the text that states them."""
 
 import math
 import re
@@ -10,7 +10,7 @@ EXAMPLE = "0.3mm,0.3deg"
 
 
 def noise_fault(sd: float) -> tuple[str, str] | None:
-    """Why no measurement has this standard deviation > 0, and the remedy; None if one may."""
+    """Why a standard deviation > 0 is implausible, and the remedy; None if it is plausible."""
     low, high = NOISE_LIMITS
     if low <= sd <= high:
         return None
@@ -24,7 +24,7 @@ def noise_sizes(text: str, option: str = "--noise") -> tuple[float, float]:
     Raises
     ------
     ValueError
-        If it has another form or a size is not more than zero.
+        If the text has another form, or a size is not above zero or is implausible.
 
     Examples
     --------

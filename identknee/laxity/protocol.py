@@ -1,4 +1,4 @@
-"""Which trials a laxity test has: flexion and loads, what they are about, and candidates."""
+"""Protocols of laxity tests: flexion and loads of trials, dominant loads, pairs and candidates."""
 
 import math
 import os
@@ -36,7 +36,8 @@ BLOCKS = ("ramps", "trials")
 
 _REMEDIES = {"flexion_deg": "[0, 30]", "values": "[0, 30]"}
 Number = Annotated[
-    float, number("{} is no number", "Write numbers without quotes.", remedy_infinite="Give one.")
+    float,
+    number("{} is not a number", "Write numbers without quotes.", remedy_infinite="Give one."),
 ]
 Numbers = Annotated[
     list[Number],
@@ -49,7 +50,7 @@ Numbers = Annotated[
 def _is_load(value: Any) -> Any:
     if not isinstance(value, str) or value not in HeldLoads.model_fields:
         remedy = suggestion(str(value)[:100], HeldLoads.model_fields)
-        raise refusal(f"no load is {shown(value)}", remedy)
+        raise refusal(f"there is no load {shown(value)}", remedy)
     return value
 
 
@@ -63,7 +64,7 @@ class HeldLoads(Part):
     lateral_force_N: Number = 0.0  # noqa: N815
 
 
-State = Annotated[str, custom_message("the state {} is no text", "Put it in quotes.")]
+State = Annotated[str, custom_message("the state {} is not text", "Put it in quotes.")]
 
 
 class Ramp(Part):
@@ -74,7 +75,7 @@ class Ramp(Part):
     flexion_deg: Numbers
     values: Numbers
     held: Annotated[
-        HeldLoads, custom_message("this is no table", "Write held = { anterior_force_N = 30 }.")
+        HeldLoads, custom_message("this is not a table", "Write held = { anterior_force_N = 30 }.")
     ] = HeldLoads()
 
 
@@ -83,13 +84,13 @@ class Trial(HeldLoads):
 
     state: State = INTACT
     flexion_deg: Numbers
-    name: Annotated[str, custom_message("the name {} is no text", "Put it in quotes.")] | None = (
+    name: Annotated[str, custom_message("the name {} is not text", "Put it in quotes.")] | None = (
         None
     )
 
 
 _RAMPS, _TRIALS = (
-    custom_message("these are no blocks", f"Start each with a line [[{x}]].") for x in BLOCKS
+    custom_message("a list of blocks is wanted", f"Start each with a line [[{x}]].") for x in BLOCKS
 )
 
 
@@ -100,10 +101,10 @@ class ProtocolTables(Part):
         Literal[1],
         custom_message("the format is {}", f"Write format = {FORMAT}, the only one there is."),
     ]
-    name: Annotated[str, custom_message("the name {} is no text", "Put it in quotes.")] | None = (
+    name: Annotated[str, custom_message("the name {} is not text", "Put it in quotes.")] | None = (
         None
     )
-    description: Annotated[str, custom_message("{} is no text", "Put it in quotes.")] = ""
+    description: Annotated[str, custom_message("{} is not text", "Put it in quotes.")] = ""
     ramps: Annotated[list[Annotated[Ramp, _RAMPS]], _RAMPS] = Field(default_factory=list)
     trials: Annotated[list[Annotated[Trial, _TRIALS]], _TRIALS] = Field(default_factory=list)
 
@@ -114,7 +115,7 @@ def read_tables(path: PathLike) -> ProtocolTables:
     Raises
     ------
     InputError
-        If it cannot be read, is no TOML or breaks the schema: it names the place and the remedy.
+        If it cannot be read, is not TOML or breaks the schema: it names the place and the remedy.
     """
     file = Path(path)
     return validated(ProtocolTables, read_toml(file, LARGEST_MB), lambda fault: _error(file, fault))
@@ -285,7 +286,7 @@ class Protocol:
         return np.array([of[x] for x in self.experiment], dtype=np.int64)
 
     def _check_states(self) -> None:
-        """Make every state one form, none where all are intact; refuse what does not fit."""
+        """Write every state in one form, None where all are intact; refuse what does not fit."""
         if self.state is not None:
             if len(self.state) != self.n:
                 raise ValueError(f"there are {self.n} trials and {len(self.state)} states")
@@ -554,11 +555,11 @@ def _shortest(value: float) -> str:
     return text if float(text) == value else repr(float(value))
 
 
-# Loads of a usual laxity test: a load counts by its share of these.
+# Loads of a usual laxity test [N m, N], by which loads of different kinds are compared.
 TYPICAL = np.array([5.0, 10.0, 100.0, 100.0, 100.0])
-# Loads below this share are stray ones. Constant loads, such as compression, tell no trials apart.
+# Loads below this share of those are stray.
 STRAY = 0.1
-# Share of the largest load of a trial below which another is a stray one beside it.
+# Below this share of the largest load of its trial, a load is stray.
 STRAY_BESIDE = 0.2
 # Opposite loads may differ by this share of them, and their flexion angles by so much [deg].
 ALIKE, SAME_FLEXION_DEG = 0.5, 5.0
@@ -575,10 +576,10 @@ class DominantLoads:
 
 
 def dominant_loads(protocol: Protocol) -> DominantLoads:
-    """The load that each trial is about: the largest beside a usual test's, stray ones aside.
+    """The load that each trial tests: the largest as a share of that in a usual test.
 
-    A load that no trial is without, such as compression, is counted from its median, unless the
-    trials then have no load left.
+    A load that every trial has, such as compression, is counted from its median, unless the trials
+    then have no load left. Loads below a tenth of those in a usual test are stray.
 
     Examples
     --------
@@ -602,10 +603,10 @@ def dominant_loads(protocol: Protocol) -> DominantLoads:
 
 
 def nominal_loads(protocol: Protocol) -> Array:
-    """The loads that tell the trials apart, shape ``(n, 5)``: stray and constant ones are zero.
+    """The loads that distinguish the trials, shape ``(n, 5)``; stray and constant ones are zero.
 
-    A load is a stray one where it is small, also beside the largest of its trial, unless it is the
-    only one; one that no trial is without, such as compression, is counted from its median.
+    A load is stray if it is small in itself or beside the largest of its trial, unless it is the
+    only one. A load that every trial has, such as compression, is counted from its median.
     """
     share = np.abs(_changes(protocol)) / TYPICAL
     alone = np.count_nonzero(share, axis=1, keepdims=True) == 1
@@ -615,7 +616,7 @@ def nominal_loads(protocol: Protocol) -> Array:
 
 
 def held_loads(protocol: Protocol) -> Array:
-    """What the rig holds throughout: the median of a load that no trial is without, ``(5,)``."""
+    """Loads that the rig holds in all trials: the median of each load that all have, ``(5,)``."""
     if not protocol.n:
         return np.zeros(len(LOADS))
     signs = np.sign(protocol.loads)
@@ -630,8 +631,8 @@ def _changes(protocol: Protocol) -> Array:
 def nominal_flexion(protocol: Protocol) -> Array:
     """Nominal flexion of each trial [deg], shape ``(n,)``.
 
-    Where most trials have an angle of their own, as a robot reads them, angles that are close
-    together are one, their rounded mean; elsewhere they are what they are.
+    Where most trials have an angle of their own, as in readings of a robot, angles that are close
+    together are replaced by their rounded mean. Other angles are kept.
     """
     angles, place = np.unique(protocol.flexion_deg, return_inverse=True)
     if 2 * angles.size <= protocol.n:
@@ -820,7 +821,7 @@ def zero_fault(zero: str, protocol: Protocol, coordinates: Array) -> tuple[str, 
         return None
     if zero not in protocol.trials:
         return (
-            f"the zero {zero!r} is unknown and no trial",
+            f"the zero {zero!r} is unknown and not the name of a trial",
             "Write unloaded, opposite or the name of a trial, or leave the line out",
         )
     own = coordinates[protocol.trials.index(zero)]

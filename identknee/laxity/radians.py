@@ -1,16 +1,13 @@
-"""Flexion of a storage that was written in radians under a line that says degrees."""
+"""Flexion of an OpenSim storage that holds radians under a line that says degrees."""
 
 import numpy as np
 
 from identknee.runs.arrays import Array
 
 DEG = 57.29577951308232
-
-
-# People flex knees to multiples of this [deg]; angles that are all so close to one are no chance.
+# Protocols use multiples of STEP [deg]. Different angles that all lie within CLOSE of multiples are
+# not there by chance. A single angle must lie within EXACTLY, rounding to 1e-4 rad.
 STEP, CLOSE, EXACTLY = 5.0, 0.05, 0.003
-
-
 # No knee flexes farther [deg].
 FARTHEST = 165.0
 
@@ -18,7 +15,7 @@ FARTHEST = 165.0
 def is_in_radians(values: Array) -> bool:
     """Whether flexion angles are round numbers of degrees written in radians.
 
-    One angle alone must be so to many digits, and be no round number of degrees as it stands.
+    A single angle must agree to many digits, and must not be a round number as it is written.
 
     Examples
     --------

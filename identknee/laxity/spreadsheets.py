@@ -1,6 +1,6 @@
-"""What spreadsheets and other programs leave in a table beside its numbers, and what to say of it.
+"""Traces of spreadsheets and other programs in a table, and the remedies that messages give.
 
-Encodings, rows of units, dates and signs for thousands.
+Encodings, rows of units, numbers turned into dates, and thousands separators.
 """
 
 import io
@@ -11,14 +11,15 @@ from typing import TextIO
 
 from identknee.runs.errors import InputError
 
-# How workbooks of Excel begin, new and old.
+# First bytes of Excel workbooks, .xlsx and .xls.
 WORKBOOK = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+# Byte-order marks of UTF-16; other text is read as UTF-8.
 WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-LOOKED_AT = 512
-# A column that pandas or R counts rows in has no name, or this one.
+LOOKED_AT = 512  # bytes
+# The name of a column in which pandas or R number the rows; it may be empty.
 NAMELESS = re.compile(r"(Unnamed: \d+)?")
 COUNT = re.compile(r"[0-9]+")
-# Names of units, lower case and without brackets, by how names of columns end.
+# Names of units in lower case and without brackets, by the ending of column names.
 UNITS = {
     "deg": ("deg", "degs", "degree", "degrees", "°", "º"),
     "mm": ("mm", "millimetre", "millimetres", "millimeter", "millimeters"),
@@ -32,7 +33,7 @@ OTHER_UNITS = frozenset(
         *("n mm", "lbf", "ms", "min", "-", "1", ""),
     )
 )
-# A number whose sign may be a decimal sign or one for thousands.
+# A number whose point or comma may be a decimal sign or a thousands separator.
 THOUSAND = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}([ ,.'’\u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
 _DATE = re.compile(
@@ -46,7 +47,7 @@ A_DATE = "A spreadsheet may have made a date of it: enter it again, in a cell of
 
 
 def opened_text(path: Path) -> TextIO:
-    """The text of a table, open for reading, whatever its first bytes say of its encoding.
+    """The text of a table, open for reading in the encoding that its first bytes show.
 
     Raises
     ------
@@ -69,9 +70,9 @@ def opened_text(path: Path) -> TextIO:
 
 
 def unit_of(word: str) -> str | None:
-    """The unit that a cell names, as names of columns end; itself if no column has it.
+    """The unit that a cell names, as column names spell it; None where it names no unit.
 
-    None where it names none.
+    A unit that no column has is returned in lower case.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""In-situ forces by superposition: a path is replayed after a cut, and the cell reads less.
+"""In-situ forces by superposition: from a path that is replayed after a structure is cut.
 
-A robot replays the path of a trial before and after a structure is cut. The pose is the same, so
-what the load on the tibia changes by is the wrench that the structure had on the tibia.
+A robot replays the path of a trial before and after the cut. The pose is the same, so the change of
+the load on the tibia is the wrench that the structure exerted on it.
 
 References
 ----------
@@ -190,7 +190,7 @@ class Superposition:
         return signs
 
     def _check_rows_differ(self) -> None:
-        """Refuse rows whose differences follow from those of others."""
+        """Refuse rows that are linear combinations of earlier ones."""
         signs = self._readings()
         for i in range(1, self.n):
             if np.linalg.matrix_rank(signs[: i + 1]) == i:
@@ -295,7 +295,7 @@ def _value(row: TableRow, column: str) -> tuple[float, float]:
 
 
 def _sign(file: CellFile, reads: str, rows: Sequence[_Row]) -> float:
-    """The factor that makes what the cell reads the load on the tibia."""
+    """1 where the load cell reads the load on the tibia, -1 where it reads its reaction."""
     said = reads.strip().lower()
     for line, text in file.comments:
         if found := _READS.fullmatch(text.rstrip(",; ")):

@@ -1,4 +1,4 @@
-"""Laxity tables: reading, writing, comparing, noise, and those of named subjects."""
+"""Laxity tables: reading, writing and comparing them, and adding noise."""
 
 import math
 import os
@@ -91,18 +91,18 @@ OPPOSITE_LOADS = {
     "compression_force_N": "distraction_force_N",
     "medial_force_N": "lateral_force_N",
 }
-"""Columns of loads that count the other way round, and the column each is the negative of."""
+"""Columns of loads of the opposite sign, and the column that each is the negative of."""
 OPPOSITE_COORDINATES = {
     "medial_shift_mm": "lateral_shift_mm",
     "posterior_drawer_mm": "anterior_drawer_mm",
     "valgus_deg": "varus_deg",
     "external_deg": "internal_deg",
 }
-"""Opposite names of coordinates, which count the other way round."""
+"""Columns of coordinates of the opposite sign, and the column that each is the negative of."""
 OPPOSITES = {**OPPOSITE_LOADS, **OPPOSITE_COORDINATES}
-# No joint turns so far, so that its angles were no radians.
+# Read as radians, angles beyond this are larger than any joint turns: the file holds degrees.
 MOST_TURNED_DEG = 400.0
-# Beyond these a table is in other units or of other axes.
+# Coordinates beyond these are in other units or about other axes.
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
 _SD = tuple(f"sd_{column}" for column in COORDINATES)
@@ -222,7 +222,7 @@ class Laxity:
         return replace(self, forces=None, superposition=None) if self.has_forces else self
 
     def without(self, lost: BoolArray) -> "Laxity":
-        """The same with the trials `lost` (n,) blank."""
+        """The laxity with the values of the trials `lost` (n,) left blank."""
         if not lost.any():
             return self
         return replace(
@@ -330,16 +330,16 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
 
 
 def check_is_table(given: object) -> None:
-    """Refuse what can hold no table.
+    """Refuse an object that cannot be read as a laxity table.
 
     Raises
     ------
     ValueRefused
-        With what can.
+        The message names the kinds that can.
     """
     if not (isinstance(given, str | os.PathLike) or is_frame(given)):
         raise ValueRefused(
-            f"the {type(given).__name__} is no laxity table",
+            f"the {type(given).__name__} is not a laxity table",
             "give a path, a Laxity, a pandas DataFrame or the name of a subject with a table",
         )
 
@@ -347,7 +347,7 @@ def check_is_table(given: object) -> None:
 def _check_needed(
     path: Path, protocol: Protocol, coordinates: Array, definition: Translations
 ) -> None:
-    """Refuse a row whose components hang on a value that was not measured."""
+    """Refuse a row whose components depend on a value that was not measured."""
     made = to_components(definition, protocol.flexion_deg, coordinates)
     known = ~np.isnan(coordinates)
     angles = known[:, 4] if definition == "tibia" else np.ones(protocol.n, bool)
@@ -471,7 +471,7 @@ def _trials(file: CellFile, *, is_measured: bool) -> tuple[tuple[str, ...], Arra
         if "order" in file.columns:
             value = row.required("order")
             if value != int(value) or abs(value) > LARGEST_ORDER:
-                why = f"{value:g} is no whole number"
+                why = f"{value:g} is not a whole number"
                 row.refuse("order", why, "Count the trials 1, 2, 3 and so on.")
             order.append(int(value))
         if "state" in file.columns:
@@ -592,7 +592,7 @@ def _turn_angles(file: CellFile, rows: Sequence[TableRow]) -> None:
 
 
 def _known(row: TableRow, column: str) -> float:
-    """A number that is there; NaN for all that is refused where it is read."""
+    """A number; NaN where the cell is blank or is refused later, when the row is read."""
     try:
         value = row.number(column)
     except InputError:

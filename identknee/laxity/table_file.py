@@ -747,7 +747,9 @@ def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: s
     found = next((x for x in DEFINITIONS if x == stated.lower()), None)
     if found is None:
         words = ", ".join(DEFINITIONS)
-        file.refuse(line, "", f"{stated!r} is no definition of translations", f"Known are {words}.")
+        file.refuse(
+            line, "", f"{stated!r} is not a definition of translations", f"Known are {words}."
+        )
     if found != COMPONENTS and zero != ABSOLUTE:
         why = f"translations as {found} can be read only where coordinates are absolute"
         file.refuse(line, "", why, f"The table counts them from {zero}: convert them before.")
@@ -757,14 +759,14 @@ def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: s
 def levels(file: CellFile) -> tuple[float, ...]:
     """Levels of the load at which loading curves are read [% of what every cycle reaches]."""
     remedy = "Write percentages above 0, such as: # levels: 50, 100."
-    known = _stated_numbers(file, "levels", (1e-9, 100.0), "are no levels of a load", remedy)
+    known = _stated_numbers(file, "levels", (1e-9, 100.0), "are not levels of a load", remedy)
     return known or LEVELS
 
 
 def angles(file: CellFile) -> tuple[float, ...]:
     """Flexion angles at which a ramp of flexion is read [deg]; none where the file states none."""
     remedy = "Write degrees, such as: # angles: 0, 30, 60, 90."
-    return _stated_numbers(file, "angles", FLEXION_LIMITS_DEG, "are no flexion angles", remedy)
+    return _stated_numbers(file, "angles", FLEXION_LIMITS_DEG, "are not flexion angles", remedy)
 
 
 def _stated_numbers(

@@ -22,10 +22,10 @@ from identknee.runs.arrays import Array
 Translations = Literal["components", "projections", "femur", "tibia"]
 COMPONENTS: Translations = "components"
 DEFINITIONS: tuple[Translations, ...] = get_args(Translations)
-# Decimals of a component in mm. Where equilibria jump, rounding errors of a change of axes lead a
-# fit elsewhere; without them a table is the same by whichever definition it was written.
+# Decimals of a component in mm. Rounded, a table gives the same numbers whichever definition it was
+# written in; the rounding errors of a change of axes can lead a fit to another equilibrium.
 DECIMALS = 10
-# Entries of a matrix that are zero but for rounding: what stands there is not needed.
+# Smaller entries of a matrix are rounding errors: the value that they multiply is not needed.
 LEAST = 1e-12
 
 
@@ -45,8 +45,8 @@ def to_components(definition: Translations, flexion_deg: Array, coordinates: Arr
     Returns
     -------
     coordinates
-        Shape ``(n, 5)``, translations to 1e-10 mm; NaN where a component hangs on a value that was
-        not measured.
+        Shape ``(n, 5)``, translations to 1e-10 mm; NaN where a component depends on a value that
+        was not measured.
     """
     back = _inverse(_matrices(definition, flexion_deg, coordinates))
     found = _changed(back, coordinates)
@@ -79,7 +79,7 @@ def sd_from_components(
 
 
 def _matrices(definition: Translations, flexion_deg: Array, coordinates: Array) -> Array:
-    """Matrices that make translations by a definition of components, shape ``(n, 3, 3)``.
+    """Matrices that turn components into translations of a definition, shape ``(n, 3, 3)``.
 
     Angles that were not measured count as zero.
     """
@@ -113,7 +113,7 @@ def _inverse(matrices: Array) -> Array:
 
 
 def _changed(matrices: Array, coordinates: Array, *, is_variance: bool = False) -> Array:
-    """Coordinates, or variances, with other translations; NaN where one hangs on a NaN."""
+    """Coordinates, or variances, with other translations; NaN where one depends on a NaN."""
     matrices = np.where(np.abs(matrices) > (LEAST**2 if is_variance else LEAST), matrices, 0.0)
     known = ~np.isnan(coordinates[:, :3])
     needs = (matrices != 0.0) & ~known[:, None, :]

@@ -184,7 +184,7 @@ class _Processes:
             )
         if script and not Path(script).exists():
             return (
-                "worker processes import the script that starts them, and this one is no file; "
+                "worker processes import the script that starts them, and this one is not a file; "
                 "save it as a file, or use 1 worker"
             )
         return (

@@ -140,7 +140,7 @@ def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
     # A path with a null character is a ValueError.
     except ValueError as error:
         raise InputError(
-            repr(os.fspath(file)), "", "this is no path of a file", "Check the spelling."
+            repr(os.fspath(file)), "", "this is not a valid path", "Check the spelling."
         ) from error
     except OSError as error:
         reason = _reason(error)

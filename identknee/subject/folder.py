@@ -177,7 +177,7 @@ class EffectTable(Part):
 
 Spread = Annotated[
     Number | list[Point],
-    custom_message("{} is no spread", "Write a standard deviation in mm or three rows of mm^2."),
+    custom_message("{} is not a spread", "Write a standard deviation in mm or three rows of mm^2."),
 ]
 
 
@@ -236,7 +236,7 @@ class UncertaintyTable(_Sizes):  # type: ignore[valid-type, misc]
     insertions_mm: Annotated[
         Number | SurfaceSpreads | dict[str, BoneSpreads],
         custom_message(
-            "{} is no spread",
+            "{} is not a spread",
             "Write insertions_mm = 2.0, { tangential = 4.0, normal = 1.0 }, or a table by "
             "ligament and bone.",
         ),
@@ -254,7 +254,7 @@ class PriorTable(Part):
 Range = Annotated[
     list[Number],
     Field(min_length=2, max_length=2),
-    custom_message("{} is no range", "Write [lower, upper]."),
+    custom_message("{} is not a range", "Write [lower, upper]."),
 ]
 
 
@@ -285,7 +285,7 @@ class SubjectTables(Part):
     ]
     name: Text
     side: Annotated[
-        Literal["right", "left"], custom_message("{} is no side", 'Write "right" or "left".')
+        Literal["right", "left"], custom_message("{} is not a side", 'Write "right" or "left".')
     ]
     description: Text = ""
     contact_rounding_mm: Number = 0.0
@@ -304,7 +304,7 @@ class SubjectTables(Part):
     capsule: Annotated[
         list[Text],
         custom_message(
-            "{} is no list of sheets",
+            "{} is not a list of sheets",
             'Write capsule = ["posteromedial", "posterolateral", "anterolateral"], or some.',
         ),
     ] = Field(default_factory=list)
@@ -348,7 +348,7 @@ def read_tables(path: PathLike) -> SubjectTables:
     Raises
     ------
     InputError
-        If it cannot be read, is no TOML or breaks the schema: it names the place and the remedy.
+        If it cannot be read, is not TOML or breaks the schema: it names the place and the remedy.
     """
     file = Path(path)
     return _tables(read_toml(file), file)
@@ -407,7 +407,7 @@ def read_fitted(folder: Path) -> dict[str, float]:
     Raises
     ------
     InputError
-        If the file cannot be read, or a value is no finite number below the table of its owner.
+        If the file cannot be read, or a value is not a finite number in a table of its owner.
     """
     file = folder / FITTED
     if not file.exists():
@@ -420,7 +420,7 @@ def read_fitted(folder: Path) -> dict[str, float]:
                 raise InputError(
                     file,
                     f"{owner}.{name}".rstrip("."),
-                    "this is no finite number below the table of its owner",
+                    "a finite number in a table named after a ligament or an effect is wanted",
                     "Write for example [ACL] and below it stiffness_kN = 9.5.",
                 )
             values[f"{owner}.{name}"] = float(value)

@@ -71,7 +71,7 @@ def _surface(mesh: Any, name: str) -> Surface:
     elif isinstance(mesh, tuple | list) and len(mesh) == len(BONES):
         pair = mesh[0], mesh[1]
     else:
-        raise InputError(NAME, where, f"{type(mesh).__name__} is no mesh", FORM)
+        raise InputError(NAME, where, f"{type(mesh).__name__} is not a mesh", FORM)
     try:
         vertices, faces = np.asarray(pair[0], float), np.asarray(pair[1])
         return surface_of(vertices, faces)

@@ -150,15 +150,15 @@ def check_groups(groups: Sequence[LigamentGroup], ligaments: Sequence[Ligament])
     Raises
     ------
     ValueError
-        If a member is no ligament or in two groups, no member of a group has a stiffness, or a
-        group is called as a ligament or another group is.
+        If a member is not a ligament or is in two groups, if no member of a group has a stiffness,
+        or if a group has the name of a ligament or of another group.
     """
     stiffness = {x.name: x.stiffness_kN for x in ligaments}
     seen: set[str] = set()
     taken = set(stiffness)
     for group in groups:
         if group.name in taken:
-            why = f"the group {group.name} is called as a ligament or another group is"
+            why = f"a ligament or another group is also called {group.name}"
             raise ValueRefused(why, "rename it")
         taken.add(group.name)
         for member in group.members:

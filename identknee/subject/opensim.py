@@ -964,7 +964,7 @@ def _bodies(bones: Bones) -> Iterator[NotTaken]:
                     yield remark(wrap, "no ligament of this knee wraps around it")
         else:
             of_leg = side_in(name) == other
-            yield remark(x, "it is of the other leg" if of_leg else "it is no bone of this knee")
+            yield remark(x, "it is of the other leg" if of_leg else "it is not a bone of this knee")
     for x in bones.model.listed("JointSet"):
         if x is not bones.joint.element and x.tag != "WeldJoint":
             yield remark(x, "it is not the joint of this knee")

@@ -350,8 +350,7 @@ def read_limits(path: PathLike) -> Limits:
         try:
             made.append(table.limit())
         except ValueRefused as error:
-            remedy = f"{error.remedy[:1].upper()}{error.remedy[1:]}."
-            raise InputError(file, _place((KEY, i)), error.why, remedy) from error
+            raise InputError(file, _place((KEY, i)), error.why, error.advice) from error
     return tuple(made)
 
 
@@ -385,14 +384,15 @@ def plausible_limits(asked: str | Path | Sequence[Limit], default: Limits) -> Li
     if isinstance(asked, str | Path):
         if Path(asked).suffix != ".toml":
             raise ValueRefused(
-                f"--plausible {str(asked)!r} is no file of limits",
+                f"--plausible {str(asked)!r} is not a file of limits",
                 f"write {DEFAULT}, {NONE}, or a file that ends in .toml",
             )
         return read_limits(asked)
     limits = tuple(asked)
-    if not all(isinstance(x, Limit) for x in limits):
+    others = [x for x in limits if not isinstance(x, Limit)]
+    if others:
         raise ValueRefused(
-            f"plausible has a {type(next(iter(limits))).__name__} in it",
+            f"plausible has a {type(others[0]).__name__} in it",
             "give default, none, a file, or a list of Limit",
         )
     return limits

@@ -8,6 +8,7 @@ from cli_runs import run
 import identknee as ik
 from identknee.laxity.experiment_tables import read_experiments
 from identknee.model.experiments import check_states
+from identknee.runs.errors import InputError
 
 TWO = (
     '[[experiments]]\nname = "x"\ntable = "a.csv"\nrig = "r"\n'
@@ -41,6 +42,9 @@ def folder(tmp_path: Path) -> Path:
         "two_sides": TWO.replace('"x"', '"x"\nside = "left"').replace('"y"', '"y"\nside = "right"'),
         "other_side": TWO.replace('"x"', '"x"\nside = "left"'),
         "no_side": TWO.replace('"x"', '"x"\nside = "medial"'),
+        "unknown_key": TWO + "mounted = true\n",
+        "number_as_state": TWO.replace('"x"', '"x"\nstate = 1'),
+        "rig_in_words": TWO + "[rigs.r]\nnoise = 1\n",
         "unsigned_wrench": TWO + '[[experiments]]\nname = "i"\nsuperposition = "insitu.csv"\n'
         'rig = "r"\n',
     }
@@ -60,6 +64,9 @@ CASES = {
     "two_sides.toml": "x is of a left knee, and y of a right one. Fit the two sides each alone",
     "other_side.toml": "x is of a left knee, and reference is a right one; give the tables of one",
     "no_side.toml": "the side 'medial' is unknown. Write left or right",
+    "unknown_key.toml": ", [[experiments]] block 2, mounted: this word is unknown here",
+    "number_as_state.toml": ", [[experiments]] block 1, state: 1 is not text",
+    "rig_in_words.toml": ", [rigs.r], noise: 1 is not text",
     "unsigned_wrench.toml": "does not say whether the cell reads the load on the tibia",
 }
 
@@ -72,6 +79,16 @@ def test_one_sentence_and_exit_2(name: str, folder: Path) -> None:
     assert len(said) == 1
     assert said[0].startswith("identknee: ")
     assert CASES[name] in said[0]
+
+
+def test_a_noise_that_cannot_be_read_is_found_in_the_file(folder: Path) -> None:
+    text = "trial,flexion_deg,anterior_force_N,anterior_drawer_mm\ndrawer,30,100,4\n"
+    (folder / "a.csv").write_text(text, encoding="utf-8")
+    rig = '[[experiments]]\nname = "x"\ntable = "a.csv"\nrig = "r"\n[rigs.r]\nnoise = "1mm"\n'
+    (folder / "noise.toml").write_text(rig, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_experiments(folder / "noise.toml")
+    assert (Path(caught.value.path).name, caught.value.where) == ("noise.toml", "[rigs.r]")
 
 
 def test_a_side_that_agrees_is_kept(folder: Path) -> None:

@@ -124,7 +124,7 @@ def test_columns_of_any_table_may_have_other_names(tmp_path: Path) -> None:
         ("", 0, [0, 2, 1], "ramp turn: time goes back"),
         ("", 2, [0, 20, 40], "flexion changes by 40.0 deg"),
         ("", 3, [0, 0.1, 0.2], "no load changes by more than 10 %"),
-        ("# levels: 0, 50\n", 3, [0, 2, 4], "'0, 50' are no levels of a load"),
+        ("# levels: 0, 50\n", 3, [0, 2, 4], "'0, 50' are not levels of a load"),
         ("# column: internal_deg is r\n", 3, [0, 2, 4], "row 1: 'column: internal_deg is r' does"),
         ("# column: varus_deg = r\n", 3, [0, 2, 4], "row 1: there is no column r"),
         ("# column: varus_deg = internal_deg\n", 3, [0, 2, 4], "varus_deg is there already"),

@@ -100,10 +100,13 @@ RAMP = '[[ramps]]\nflexion_deg = [0]\nload = "varus_moment_Nm"\nvalues = [1]\n'
         ("format = 2", "format: the format is 2. Write format = 1, the only one there is."),
         ("format = 1", "there is no trial. Add a [[ramps]] or [[trials]] block."),
         ("format = 1\nramp = 3", "the word 'ramp' is unknown here. Did you mean ramps?"),
-        ("format = 1\nramps = 3", "ramps: these are no blocks. Start each with a line [[ramps]]."),
+        (
+            "format = 1\nramps = 3",
+            "ramps: a list of blocks is wanted. Start each with a line [[ramps]].",
+        ),
         (
             "format = 1\n[[ramps]]\nload = 'varus'",
-            "[[ramps]] block 1, load: no load is 'varus'. Did you mean varus_moment_Nm?",
+            "[[ramps]] block 1, load: there is no load 'varus'. Did you mean varus_moment_Nm?",
         ),
         (
             "format = 1\n[[ramps]]\nload = 'varus_moment_Nm'\nvalues = [1]",
@@ -114,7 +117,7 @@ RAMP = '[[ramps]]\nflexion_deg = [0]\nload = "varus_moment_Nm"\nvalues = [1]\n'
         ),
         (
             "format = 1\n" + RAMP + RAMP.replace("[1]", "[1, '2']"),
-            "[[ramps]] block 2, values: '2' is no number. Write numbers without quotes.",
+            "[[ramps]] block 2, values: '2' is not a number. Write numbers without quotes.",
         ),
         (
             "format = 1\n" + RAMP.replace("[1]", "[10000]"),

@@ -110,8 +110,12 @@ def test_an_experiments_file_has_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
-        ("superposition =", "table = 'tests.csv'\nsuperposition =", "one of both"),
-        ('superposition = "insitu.csv"', "", "one of both"),
+        (
+            "superposition =",
+            "table = 'tests.csv'\nsuperposition =",
+            "has either a table or a superposition",
+        ),
+        ('superposition = "insitu.csv"', "", "has either a table or a superposition"),
         ("reads =", "state = 'cut: ACL'\nreads =", "states of its rows"),
         ("reads =", "rig = 'other'\nreads =", "made in the rig rig"),
         ('reads = "load on tibia"', "", "does not say whether"),

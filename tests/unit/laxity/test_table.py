@@ -208,8 +208,8 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
         (
             "# zero: neutral\na,30,5,1,1",
             (
-                ", row 2: the zero 'neutral' is unknown and no trial. Write unloaded, opposite or "
-                "the name of a trial, or leave the line out."
+                ", row 2: the zero 'neutral' is unknown and not the name of a trial. "
+                "Write unloaded, opposite or the name of a trial, or leave the line out."
             ),
         ),
         (
@@ -331,7 +331,7 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
         ),
         (
             "trial,flexion_deg,varus_deg,order\na,30,1,1.5",
-            ", row 2, column order: 1.5 is no whole number. Count the trials 1, 2, 3 and so on.",
+            ", row 2, column order: 1.5 is not a whole number. Count the trials 1, 2, 3 and so on.",
         ),
         (
             "trial,flexion_deg,varus_deg,phase\na,30,1,up",
@@ -448,7 +448,7 @@ def test_what_is_written_is_short(tmp_path: Path) -> None:
         ({"phase": ("loading", "up")}, "phase must hold 2 of"),
         ({"comments": ("zero: unloaded",)}, "states no setting"),
         ({"comments": ("a\nb",)}, "a comment is one line"),
-        ({"zero": "neutral"}, "the zero 'neutral' is unknown and no trial"),
+        ({"zero": "neutral"}, "the zero 'neutral' is unknown and not the name of a trial"),
     ],
 )
 def test_laxity_checks_its_values(changes: dict[str, object], words: str) -> None:

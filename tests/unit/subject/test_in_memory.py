@@ -103,14 +103,14 @@ def _mirrored_ligaments() -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"surfaces": {**MESHES, "femur": 7}}, "surface femur: int is no mesh. Give a path"),
+        ({"surfaces": {**MESHES, "femur": 7}}, "surface femur: int is not a mesh. Give a path"),
         (
             {"surfaces": {**MESHES, "femur": ([[0, 0, 0]], [[0, 1, 2]])}},
             "surface femur: faces must",
         ),
         ({"ligaments": ligaments().drop(columns="tibia_y_mm")}, "no column tibia_y_mm"),
         ({"colour": "red"}, "there is no key 'colour' here"),
-        ({"side": "top"}, "'top' is no side"),
+        ({"side": "top"}, "'top' is not a side"),
         ({"surfaces": {"femur": LIKE.femur}}, "'tibia_medial' is missing"),
         ({"ligaments": ligaments().assign(stiffness_kN=-1.0)}, "stiffness of ACL must be finite"),
     ],

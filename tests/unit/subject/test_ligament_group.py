@@ -32,7 +32,10 @@ def test_groups_poses_and_fitted_values_come_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("groups", "said"),
     [
-        ([LigamentGroup(name="front", members=("back", "outer"))], "called as a ligament"),
+        (
+            [LigamentGroup(name="front", members=("back", "outer"))],
+            "another group is also called front",
+        ),
         ([LigamentGroup(name="a", members=("back", "outr"))], "'outr', which the knee does not"),
         ([FRONT, LigamentGroup(name="b", members=("back", "outer"))], "back is in two groups"),
     ],

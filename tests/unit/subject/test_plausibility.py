@@ -114,6 +114,12 @@ def test_no_limits_are_found_under_another_name(asked: object) -> None:
         ik.reference_knee().with_plausibility(asked)  # type: ignore[arg-type]
 
 
+def test_the_entry_that_is_not_a_limit_is_named() -> None:
+    limit = default_limits(["MCL"])[0]
+    with pytest.raises(ValueRefused, match="plausible has a float in it"):
+        ik.reference_knee().with_plausibility([limit, 1.0])  # type: ignore[list-item]
+
+
 @pytest.mark.parametrize("age", [0.0, -3.0, 150.0, float("nan")])
 def test_an_age_that_no_donor_has_is_refused(age: float) -> None:
     with pytest.raises(ValueRefused):

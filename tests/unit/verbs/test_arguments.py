@@ -289,7 +289,7 @@ def test_what_is_like_a_table_is_refused_by_reading_too(kind: str, frame: pd.Dat
         "bytes": b"trial,flexion_deg",
         "none": None,
     }
-    with pytest.raises(ValueError, match=r"is no laxity table; give a path, .* DataFrame"):
+    with pytest.raises(ValueError, match=r"is not a laxity table; give a path, .* DataFrame"):
         ik.read_laxity(made[kind])
 
 
