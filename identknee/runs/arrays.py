@@ -1,4 +1,4 @@
-"""Array types, and the copy every frozen dataclass keeps of what it was given."""
+"""Array types, and the read-only copies that frozen data classes keep of their arguments."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -20,7 +20,7 @@ FARTHEST_MM = 1e6
 
 
 def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
-    """A read-only float64 copy of `values`, its shape checked; what is one already stays as it is.
+    """A read-only float64 copy of `values`, its shape checked; what is one is not copied.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def frozen(values: ArrayLike, *shape: int | None, name: str) -> Array:
     >>> frozen([1, 2, 3], 3, name="femur").flags.writeable
     False
     """
-    # As this function gives it: its numbers cannot be changed elsewhere.
+    # A read-only array that owns its numbers cannot be changed elsewhere, so no copy is needed.
     if type(values) is np.ndarray and values.base is None and values.dtype.char == "d":
         is_read_only = values.flags.c_contiguous and not values.flags.writeable
         if is_read_only and _fits(values.shape, shape):
@@ -64,7 +64,7 @@ def frozen_integers(values: ArrayLike) -> IntArray:
     return array
 
 
-# What to do about points that are too far away.
+# Remedy for points that are too far away.
 CHECK_UNITS = "check the units and the export"
 
 
@@ -90,6 +90,7 @@ def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     )
 
 
+# Of a printed record: characters in a line, lines, characters of a value, and items of a list.
 WIDTH, MOST_LINES = 88, 25
 MOST_LETTERS, MOST_ITEMS = 60, 5
 

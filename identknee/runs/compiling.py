@@ -16,7 +16,7 @@ from filelock import FileLock, Timeout
 from identknee.runs.files import cache_folder
 
 Function = Callable[..., Any]
-# Nothing takes longer to compile: who waits longer compiles it too.
+# Longest wait for another process that compiles the same function; then this one compiles it too.
 MOST_SECONDS = 120.0
 
 
@@ -46,11 +46,11 @@ def compiled(
 
 
 def compiled_once(function: Function, **options: Any) -> Function:
-    """Compile a function that Python calls, of which all processes run one machine code.
+    """A function for Python to call, compiled once, so that processes run the same machine code.
 
-    Code that is compiled together with its callees and code that is made with callees from disk
-    need not agree in their last bits. So a process of its own compiles it, once, while others wait,
-    and all run what it leaves on disk.
+    Code that is compiled together with its callees and code that is made with callees from the disk
+    may differ in the last bits of their results. So one separate process compiles the function
+    while others wait, and all load the result from the disk.
     """
     made: list[Any] = []
 
@@ -68,7 +68,7 @@ def compiled_once(function: Function, **options: Any) -> Function:
     return call
 
 
-# What a process does that only compiles: it finds the package where its parent did.
+# Program of a process that only compiles; it imports from the same places as its parent.
 _COMPILE = """
 import importlib, pickle, sys
 sys.path, module, name, kinds = pickle.load(sys.stdin.buffer)
@@ -92,7 +92,7 @@ def _compile_elsewhere(function: Function, kinds: tuple[Any, ...], folder: str |
                     capture_output=True,
                 )
                 mark.touch()
-    # Whoever cannot have it compiled compiles it.
+    # The caller then compiles it itself.
     except (Timeout, OSError, subprocess.CalledProcessError):
         return
 

@@ -22,12 +22,12 @@ from identknee.runs.record import versions
 
 LOG = "warnings.log"
 LARGEST_LOG_BYTES = 10**6
-# Of a folder among the inputs; a subject's has four.
+# Files of an input folder that are listed at most; a subject folder has four.
 MOST_FILES = 20
 
 
 def log_folder() -> Path:
-    """The folder for what is not shown on a terminal, below ``IDENTKNEE_CACHE`` if that is set."""
+    """The folder of logs and crash reports, below ``IDENTKNEE_CACHE`` if that is set."""
     kept = os.environ.get("IDENTKNEE_CACHE")
     return Path(kept) / "log" if kept else user_log_path("identknee")
 

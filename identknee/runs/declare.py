@@ -1,4 +1,4 @@
-"""Data classes whose fields say once what they hold: meaning, unit, axes and where it is written.
+"""Data classes whose fields declare once their meaning, unit, axes and place in files.
 
 Read-only copies of arrays, ``result.json``, ``result.nc``, the way back from both and the page on
 result files all follow from these declarations.
@@ -26,12 +26,12 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """What a field holds, and where files have it.
+    """Declaration of a field: its meaning, and its place in files.
 
     Attributes
     ----------
     meaning
-        What it is, as a phrase with its noun and no full stop.
+        What the field holds, as a phrase with its noun and no full stop.
     unit
         Unit; empty for words, ``"1"`` for plain numbers.
     dims
@@ -47,7 +47,7 @@ class Entry:
     rows
         Axis along which the records of a mapping or tuple are stacked in ``result.nc``.
     only
-        When it is there, where that is not always.
+        When the entry is present; empty where it always is.
     is_inline
         Whether the entries of a record stand among those of the record that holds it.
     words
@@ -74,7 +74,7 @@ class Entry:
 
     @property
     def is_in_files(self) -> bool:
-        """Whether either file has it; what is not, the caller of a verb gets alone."""
+        """Whether either file has it; other fields are for callers in Python only."""
         return self.is_in_json or bool(self.dims or self.group or self.rows)
 
 

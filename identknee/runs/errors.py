@@ -1,4 +1,4 @@
-"""Errors about files that cannot be used, for the user."""
+"""Errors that users see: files and values that cannot be used, and answers that do not exist."""
 
 import difflib
 import os
@@ -104,4 +104,4 @@ def closest(word: str, known: Iterable[str]) -> str:
 
 
 class NotComputable(Exception):  # noqa: N818 - said to a person as a sentence
-    """Raised where the input is fine and the answer still cannot be had; says why."""
+    """Raised where the input is valid and the answer cannot be computed; the message says why."""

@@ -1,8 +1,8 @@
-"""Ways to run many tasks, all of them an ordered `map`, and one seed for each task.
+"""Executors that map a function over many tasks in order, and an independent seed for each task.
 
-A computation asks for an `Executor` and never opens a pool itself: anything with an ordered `map`
-will do. The results do not depend on the choice, bit for bit, because each task carries its own
-seed and shares nothing.
+A computation takes an `Executor`, that is anything with an ordered `map`, and never opens a pool
+itself. Results are the same bit for bit with any executor, because each task has its own seed and
+shares nothing.
 """
 
 import hashlib
@@ -32,18 +32,18 @@ from identknee.runs.files import write_atomically
 if TYPE_CHECKING:
     from distributed import Client
 
-# Libraries read these when they are loaded.
+# Numbers of threads of linear algebra libraries, which read these variables when they are loaded.
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def use_one_library_thread() -> Any:
-    """Keep linear algebra to the calling thread from now on; gives back how to undo it.
+    """Keep linear algebra to the calling thread from now on; the object returned can undo it.
 
     Threads inside linear algebra on matrices of ten to fifty columns cost more than they bring:
     beside other processes they wait for each other, and a fit takes up to a hundred times as long.
     Libraries that are loaded later, and processes that are started, keep to one thread as well.
     """
-    # Not loaded by the start of a command.
+    # Loaded late, so that commands start quickly.
     from threadpoolctl import threadpool_limits
 
     os.environ.update(dict.fromkeys(LIBRARY_THREADS, "1"))
@@ -127,7 +127,7 @@ def process_pool(n_workers: int) -> Iterator[Executor]:
         return
     _end_if_importing_script()
     context = multiprocessing.get_context("spawn")
-    # Nothing is ever sent: its end is the sign for workers to end, busy or not.
+    # Nothing is ever sent: when this end is closed, workers end, busy or not.
     line, ours = context.Pipe(duplex=False)
     with (
         line,
@@ -169,7 +169,7 @@ class _Processes:
             raise WorkerTerminated(self._why_broken()) from error
 
     def _why_broken(self) -> str:
-        """Why a worker ended, and what to do."""
+        """Why a worker ended, and the remedy."""
         script = str(getattr(sys.modules["__main__"], "__file__", ""))
         guard = f'put what {Path(script).name} does under: if __name__ == "__main__":'
         if (self._folder / UNGUARDED).exists():
@@ -195,8 +195,8 @@ class _Processes:
         )
 
 
-# What workers leave in the folder of their pool: that one has started, and that one was about to
-# start workers of its own because it imported a script without a guard.
+# Files that workers leave in the folder of their pool: a worker has started; a worker was about to
+# start workers itself, because it imported a script without a guard.
 STARTED, UNGUARDED = "started", "unguarded"
 # The variable by which a worker finds that folder while it is being started.
 POOL = "IDENTKNEE_POOL"
@@ -208,7 +208,7 @@ def _end_if_importing_script() -> None:
     Python would refuse, with a trace of each worker; the parent says it once.
     """
     folder = os.environ.get(POOL)
-    # As Python itself finds it out.
+    # Python tells by this flag as well whether a new process still imports the script.
     is_importing = getattr(multiprocessing.current_process(), "_inheriting", False)
     if folder is not None and is_importing:
         (Path(folder) / UNGUARDED).touch()
@@ -279,8 +279,8 @@ def _start_worker(line: Connection, folder: str, has_log: bool) -> None:  # noqa
 
 
 def _end_with(line: Connection, folder: str) -> None:
-    # The other end is closed by the parent where its work is broken off, or by its death. Compiled
-    # code runs without the interpreter's lock, so that this thread comes to its turn meanwhile.
+    # The parent closes the other end when its work is interrupted or when it dies. Compiled code
+    # releases the interpreter's lock, so this thread runs meanwhile.
     with suppress(EOFError, OSError):
         line.recv_bytes()
     shutil.rmtree(folder, ignore_errors=True)
@@ -389,7 +389,7 @@ Workers = int | str
 def executor_of(
     workers: Workers, own: Callable[[int], AbstractContextManager[Executor]] = process_pool
 ) -> AbstractContextManager[Executor]:
-    """Executor over these workers; the results do not depend on who they are.
+    """Executor over these workers; the results do not depend on their number or place.
 
     Parameters
     ----------
@@ -397,6 +397,6 @@ def executor_of(
         A number on this machine, or the address of a running dask scheduler, as
         ``"tcp://10.0.0.5:8786"``.
     own
-        What makes an executor of a number.
+        Makes the executor of a number of workers on this machine.
     """
     return dask_cluster(workers) if isinstance(workers, str) else own(workers)

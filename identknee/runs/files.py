@@ -1,4 +1,4 @@
-"""Files read with care and written whole or not at all."""
+"""Files checked before they are read, and written whole or not at all."""
 
 import errno
 import hashlib
@@ -101,7 +101,7 @@ def temporary_path_beside(path: PathLike) -> Path:
 
 
 def whatever_case(folder: Path, parts: Sequence[str]) -> Path | None:
-    """The file below a folder, its parts as written or else in another case; None without one."""
+    """The file below a folder, its path as written or else in another case; None if not found."""
     if not parts:
         return folder if folder.is_file() else None
     if (folder / parts[0]).exists() or parts[0] == "..":

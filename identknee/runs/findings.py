@@ -1,4 +1,4 @@
-"""What a result says against itself: every kind of finding, and findings of these kinds."""
+"""Findings about a result, such as faults of its data, and the registry of their kinds."""
 
 from collections.abc import Iterable, Mapping
 from enum import Enum, unique
@@ -12,7 +12,7 @@ DIVIDE = "If this is N per unit strain, divide by 1000."
 
 @unique
 class Severity(Enum):
-    """How much a finding takes from a result; the value is the word written to files."""
+    """How grave a finding is; the value is the word written to files."""
 
     INFO = "info"
     WARNING = "warning"
@@ -45,7 +45,7 @@ class About(Enum):
 
 @unique
 class Doubt(Enum):
-    """Why nothing is known at a fit, whatever its intervals; the value stands beside such words."""
+    """Why intervals at a fit do not count as knowledge; the value is written beside them."""
 
     MISFIT = "conditional on misfit"
     IMPLAUSIBLE = "at an implausible fit"
@@ -748,7 +748,7 @@ class Finding:
 
     @property
     def identity(self) -> tuple[Any, ...]:
-        """What two results have in common that find the same, if with other numbers."""
+        """Key that is equal for the same finding in two results, whatever its numbers."""
         if not self.code:
             return (self.severity, self.where, self.sentence)
         distinct = [self.values.get(x) for x in self.kind.distinct]

@@ -75,7 +75,7 @@ def schur_complement(information: Array, is_kept: BoolArray) -> Array:
 
 
 class NuisancePosterior(NamedTuple):
-    """Nuisances as data leave them.
+    """Normal posterior of the nuisances given data.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class NuisancePosterior(NamedTuple):
         return np.asarray(rows.mT @ rows)
 
 
-# Share of its prior standard deviation that a nuisance keeps when it is measured.
+# Standard deviation of a nuisance after it is measured, as a share of its prior one.
 SHARE = 0.5
 
 

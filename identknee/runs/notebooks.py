@@ -1,4 +1,4 @@
-"""What a running notebook shows: classes of which a higher layer knows how, and what changes."""
+"""Display in a running notebook: objects of registered classes, and cells that change."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ def show_in_notebooks(classes: Sequence[tuple[str, str]], shown: Callable[[Any],
     classes
         Module and name of each.
     shown
-        Gives what has a ``text`` and an ``html`` for an object of them.
+        Returns for an object of these classes something with ``text`` and ``html``.
     """
     shell = _shell()
     if shell is None:

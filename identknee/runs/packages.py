@@ -1,4 +1,4 @@
-"""Names of the front door that a package holds now: scripts of earlier versions still run."""
+"""Public names that moved from ``identknee`` into its packages, for earlier scripts."""
 
 import warnings
 from collections.abc import Mapping
@@ -6,21 +6,21 @@ from types import ModuleType
 
 
 def held_by_package(packages: Mapping[str, ModuleType], own: str, name: str) -> ModuleType | None:
-    """The package that has a public name; None where none has. It warns of the place.
+    """The package that holds a public name, or None; it warns of the new place.
 
     Parameters
     ----------
     packages
         The packages by their names.
     own
-        The module of which the name was asked.
+        Name of the module from which the name was requested.
     name
-        What was asked for.
+        The name requested.
     """
     for place, package in packages.items():
         if name in dir(package) and not isinstance(getattr(package, name), ModuleType):
             said = f"{own}.{name} is now {own}.{place}.{name}"
-            # Above this are the front door and whoever asked it.
+            # Two frames above this one is the caller of ``identknee.__getattr__``.
             warnings.warn(said, DeprecationWarning, stacklevel=3)
             return package
     return None

@@ -16,7 +16,7 @@ from identknee.runs.notebooks import is_notebook, shown_in_cell
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-# Share of the work from which on the time left can be estimated.
+# Least share of the work from which the time left is estimated.
 LEAST_SHARE = 0.02
 
 
@@ -56,7 +56,7 @@ def in_words(seconds: float | None) -> str:
 
 
 class Advance:
-    """A receiver of progress; this one tells nobody."""
+    """A receiver of progress; this one shows nothing."""
 
     def __call__(self, count: int, /) -> None:
         """Count more items as done."""
@@ -80,7 +80,7 @@ class _TimeLeftColumn:
 
 
 class Display(Advance):
-    """Keeps how far work is, and shows it when that changes."""
+    """State of the progress of some work, shown when it changes."""
 
     def __init__(
         self, description: str, total: int | None, before: int, *, is_counted: bool
@@ -120,28 +120,28 @@ class Display(Advance):
             self._say_all()
 
     def show(self) -> None:
-        """Begin to show it."""
+        """Start to show the progress."""
 
     def close(self) -> None:
-        """Show it no more."""
+        """Stop showing the progress."""
 
     def _update(self) -> None:
         """Show how far the work is now."""
 
     def _say_all(self) -> None:
-        """Say what was not said yet."""
+        """Write the sentences that were not written yet."""
         for sentence in self._unsaid:
             sys.stderr.write(f"identknee: {sentence}\n")
         sys.stderr.flush()
         self._unsaid.clear()
 
 
-# The first line comes after so long, the next ever more rarely.
+# Time until the first line, and the longest time between lines, which grows up to it.
 FIRST_LINE_S, MOST_RARELY_S = 30.0, 600.0
 
 
 class ProgressLines(Display):
-    """Says on lines of standard error how far long work is."""
+    """Lines on standard error that report the progress of long work."""
 
     _next_s = FIRST_LINE_S
 
@@ -161,7 +161,7 @@ class ProgressLines(Display):
 
 Item = TypeVar("Item")
 DELAY_S = 2.0
-# Work that takes longer says how it could be shortened.
+# Work that will take longer than this says how it could be shortened.
 LONG_S = 300.0
 _one_bar = threading.Lock()
 _plans: list["_Plan"] = []
@@ -246,9 +246,8 @@ def planned(
     description
         What is being done.
     work
-        By the description of a map what each of the items expected in all its rounds costs,
-        relative to those of the other maps. Items beyond cost as much as the last; maps not named
-        cost nothing.
+        Costs of the items of each map, by the description of the map, relative to those of the
+        other maps. Further items cost as much as the last one; maps not named cost nothing.
     shorter
         How the work could be shortened, written once if it turns out to take minutes.
     """
@@ -344,7 +343,7 @@ class TerminalBar(Display):
             self._shown[0].stop()
 
 
-# A cell is changed no more often than this.
+# Least time between two changes of a cell.
 CELL_EVERY_S = 0.2
 
 

@@ -1,4 +1,4 @@
-"""What a result remembers of its run: how it ended, and the call that made it."""
+"""Provenance of a result: the call that made it, and how equilibria and fits ended."""
 
 import platform
 import time
@@ -95,7 +95,7 @@ def record(
 
 
 def versions() -> dict[str, str]:
-    """Version of Python and of each package that numbers depend on, where installed."""
+    """Versions of Python and of the installed packages that numbers depend on, by name."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -106,7 +106,7 @@ def versions() -> dict[str, str]:
 
 
 class WithSentence(Enum):
-    """A word for files, and `sentence`, which says it to a person."""
+    """A code written to files, with a `sentence` that explains it."""
 
     _value_: str
     sentence: str

@@ -29,6 +29,7 @@ from identknee.runs.files import PathLike, check_readable
 LONGEST_SHOWN = 60
 # Largest JSON file that is read.
 LARGEST_JSON_MB = 512
+# What a value should be, by pydantic's type of error.
 _WANTED = {
     "string_type": "text",
     "bool_type": "true or false",
@@ -43,7 +44,7 @@ _WANTED = {
 
 
 class Part(BaseModel):
-    """A table of a file: its keys and what they hold, nothing converted and nothing beside them."""
+    """A table of a file: its keys and their types; no value is converted, no other key accepted."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -59,7 +60,7 @@ class Fault:
     Attributes
     ----------
     place
-        Keys and positions that lead to it; to the table that lacks a key.
+        Keys and positions that lead to the value, or to the table that lacks a key.
     key
         The key in question where it is missing or unknown; empty elsewhere.
     is_unknown
@@ -95,7 +96,7 @@ def custom_message(why: str, remedy: str) -> WrapValidator:
         try:
             return inner(value)
         except ValidationError as error:
-            # What is wrong further inside has a better place, and what has words keeps them.
+            # A fault further inside has a more exact place, and a message of its own is kept.
             if any(x["loc"] or x["type"] == "said" for x in error.errors(include_url=False)):
                 raise
         raise refusal(why.replace("{}", shown(value)), remedy)
@@ -133,7 +134,7 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it cannot be read, is larger than `limit_mb` [MB], not UTF-8 or no TOML.
+        If it cannot be read, is larger than `limit_mb` [MB], not UTF-8 or not TOML.
     """
     file = check_readable(path, limit_mb)
     try:
@@ -144,7 +145,7 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
         raise InputError(
             file, "", "this is not TOML: it is nested too deeply", "Correct the file."
         ) from error
-    # Dates that are none and numbers of too many digits are no TOMLDecodeError.
+    # Impossible dates and numbers of too many digits raise other errors than TOMLDecodeError.
     except (ValueError, OverflowError) as error:
         paths = " Write paths with /, on Windows too." * ("\\" in str(error))
         remedy = f"Correct that line.{paths}"
@@ -157,8 +158,8 @@ def read_json(path: PathLike, remedy: str) -> Any:
     Raises
     ------
     InputError
-        With this remedy, if it cannot be read, is larger than 512 MB, no JSON or holds
-        text that cannot be written again.
+        With this remedy, if it cannot be read, is larger than 512 MB, is not JSON, or holds text
+        that cannot be written again.
     """
     file = check_readable(path, LARGEST_JSON_MB)
     try:
@@ -167,14 +168,14 @@ def read_json(path: PathLike, remedy: str) -> Any:
     except RecursionError as error:
         why = "this is not JSON: it is nested too deeply"
         raise InputError(file, "", why, remedy) from error
-    # No UTF-8, half of a surrogate pair and numbers of too many digits among them.
+    # Including text that is not UTF-8, half of a surrogate pair, and numbers of too many digits.
     except ValueError as error:
         raise InputError(file, "", "this is not JSON", remedy) from error
     return values
 
 
 def validated(model: type[Model], values: object, refuse: Callable[[Fault], InputError]) -> Model:
-    """`values` as the model; the first fault in them is raised as `refuse` puts it.
+    """`values` as an instance of the model; the first fault in them is raised by `refuse`.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def known_keys(model: type[BaseModel], place: Place) -> tuple[str, ...]:
 
 
 def remedy_of(model: type[BaseModel], fault: Fault, examples: Mapping[str, str]) -> str:
-    """What to do about a fault: as its validator said, the closest key, or as in an example."""
+    """Remedy of a fault: that of its validator, the closest known key, or an example."""
     if fault.remedy:
         return fault.remedy
     known = known_keys(model, fault.place)

@@ -65,7 +65,7 @@ class Store(AbstractContextManager["Store"]):
 
     def __init__(self, path: PathLike) -> None:
         self.path = Path(path)
-        # Of the runs before this one, that went as far as what is kept.
+        # Time that earlier runs spent on the results kept here [s].
         self.earlier_s = 0.0
         self._began = time.perf_counter()
         prepare_folder(self.path.parent)
@@ -168,9 +168,9 @@ def _checksum(key: str, text: str) -> str:
 STORE_FORMAT = 1
 HEADER = "about"
 FINISHED, SPENT = "finished", "seconds"
-# A kill loses what was finished in this time, and each commit waits for the disk.
+# Time between commits. Each waits for the disk, and a kill loses what was finished since the last.
 COMMIT_S = 1.0
-# Handed to the executor at a time, so that a million items are not a million tasks in memory.
+# Items given to the executor at a time, so that a million items are not a million tasks in memory.
 WAVE = 2000
 _REMEDY = (
     "Give the inputs and settings of the first run again to resume it, or remove the file or "
@@ -179,9 +179,9 @@ _REMEDY = (
 
 
 def open_work(path: PathLike, about: Mapping[str, Any]) -> Store:
-    """Store of unfinished work, new or left by an earlier run about the same.
+    """Store of unfinished work, new or left by an earlier run with the same inputs and settings.
 
-    What a run left that was finished (`finish_work`) is replaced where it is about something else.
+    A store of finished work (`finish_work`) with other inputs or settings is emptied.
 
     Parameters
     ----------
@@ -372,7 +372,7 @@ def _check_header(store: Store, kept: Any, header: Mapping[str, Any]) -> None:
 
 
 def _changes(before: Any, now: Any, place: str = "") -> Iterator[str]:
-    """What differs, one phrase a value."""
+    """A phrase for each value that differs."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(key for key in now if key not in before)]:
             inner = f"{place}.{key}" if place else key

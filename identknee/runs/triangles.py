@@ -1,4 +1,4 @@
-"""What is asked of many triangles or points at once, as arrays."""
+"""Geometry of many triangles at once, in blocks of rows: normals, areas and sides."""
 
 from collections.abc import Iterator
 
@@ -6,26 +6,26 @@ import numpy as np
 
 from identknee.runs.arrays import Array, IntArray
 
-# Rows worked on together: what they need for a while is used again, and not asked for anew, which
-# takes longer than the work itself where there are millions.
+# Rows per block, so that temporary arrays stay small and their memory is used again. For millions
+# of rows at once, allocating them takes longer than the arithmetic.
 AT_ONCE = 65_536
 
 
 def blocks(n: int) -> Iterator[slice]:
-    """Parts of n rows that are worked on together."""
+    """Slices that divide n rows into blocks."""
     return (slice(first, min(first + AT_ONCE, n)) for first in range(0, n, AT_ONCE))
 
 
 def unit(vectors: Array) -> Array:
-    """The vectors (n, 3) with length 1; those without length stay so."""
+    """The vectors (n, 3) normalised to length 1; zero vectors stay zero."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 def side_names(faces: IntArray, n: int) -> IntArray:
-    """A number for each side of triangles (m, 3), the same where both ends are, ``(m, 3)``.
+    """A number for each side of triangles (m, 3), equal for sides of equal ends, ``(m, 3)``.
 
-    The lower of its ends times `n`, which is more than any, plus the higher one. Whole numbers sort
-    ten times as fast as pairs of them.
+    It is the lower vertex number times `n`, the number of vertices, plus the higher one. Whole
+    numbers sort ten times as fast as pairs of them.
     """
     named = np.empty(faces.shape, np.int64)
     for k in range(3):

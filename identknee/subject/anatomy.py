@@ -1,7 +1,7 @@
-"""Places on a knee from its own surfaces, frames and insertions, whatever its lines are called.
+"""Anatomical sites from a knee's surfaces, frames and insertions, whatever its ligaments' names.
 
-Lengths taken from the literature or estimated are those of a knee whose plateaus are
-`TYPICAL_WIDTH` wide together and grow with the subject's knee.
+Lengths from the literature, and estimates, are those of a knee whose plateaus have `TYPICAL_WIDTH`.
+They are scaled with the width of the subject's plateaus.
 """
 
 from collections.abc import Callable
@@ -17,24 +17,27 @@ from identknee.subject.surface import Surface
 
 CompartmentSide = Literal["medial", "lateral"]
 
-# From the medial to the lateral rim of the plateaus' cartilage [mm]; both knees at hand.
+# Width of both plateaus, from the medial to the lateral rim of their cartilage [mm]; that of
+# lenhart2015 is 65.8 mm.
 TYPICAL_WIDTH = 66.0
-# Angles of the normal of a posterior condyle [deg], 0 downwards and 90 backwards, and its largest
-# component across: where a condyle is nearly a sphere.
+# Where a condyle is nearly a sphere: angles of its normal [deg], 0 downwards and 90 backwards, and
+# the largest component of the normal along the lateral axis.
 POSTERIOR = (40.0, 110.0)
 ACROSS = 0.5
 # Bone beyond the cartilage of the femur at the epicondyles [mm], an estimate.
 BEYOND_CARTILAGE = 4.0
-# Where collateral insertions lie from the epicondyle on the flexion axis, anterior and superior
-# [mm], and the fibular head from the lateral plateau: means of the two knees at hand, an estimate.
+# Offsets (anterior, superior, lateral) [mm] of collateral insertions from the epicondyle, and of
+# the fibular head from the centre of the lateral plateau: means of two knees, an estimate.
 COLLATERAL_FEMUR = {"medial": (1.0, 11.0, 0.0), "lateral": (0.5, 3.0, 0.0)}
 FIBULAR_HEAD = (-11.0, -28.0, 26.0)
-# Across the femur, in half distances of the condyles: collaterals lie further out, cruciates
-# further in; the same across the tibia for cruciates.
+# Limits by which ligaments are recognised, in half the distance of the condyles from each other:
+# collaterals insert further out than the first, cruciates further in than the second. The third is
+# that of cruciates on the tibia, in half the distance of the plateaus.
 OUTSIDE, BETWEEN_CONDYLES, BETWEEN_PLATEAUS = 1.35, 0.9, 0.75
 # A collateral ligament reaches at least this far below the joint line [mm].
 COLLATERAL_DEPTH = 15.0
-# Width over which points of a rim are averaged: in units of a sheet's size, and an angle [rad].
+# Scales over which rim points are averaged, so that a site does not jump from vertex to vertex: in
+# units of a sheet's size, and an angle [rad].
 SOFT_SHARE = 0.03
 SOFT_RADIUS = 0.015
 SOFT_ANGLE = 0.1
@@ -42,7 +45,7 @@ SOFT_ANGLE = 0.1
 
 @declared
 class Compartment:
-    """The places of one side of a knee, in the common frame of the scanned pose."""
+    """Anatomical sites of one side of a knee, in the common frame of the scanned pose."""
 
     side: CompartmentSide = entry('``"medial"`` or ``"lateral"``')
     outward: float = entry(
@@ -75,8 +78,8 @@ class Anatomy:
     """Anatomical sites from the geometry of a knee."""
 
     size: float = entry(
-        "Width of the plateaus over the typical one; lengths from the literature are multiplied by "
-        "it"
+        "Width of the plateaus relative to the typical one; lengths from the literature are "
+        "multiplied by it"
     )
     medial: Compartment = entry("Places of the medial side")
     lateral: Compartment = entry("Places of the lateral side")
@@ -88,17 +91,16 @@ class Anatomy:
         unit="mm",
     )
     medial_collateral: str | None = entry(
-        "Name of the subject's own line that is like the medial collateral ligament; None where "
-        "none is"
+        "Name of the subject's ligament that runs like the medial collateral; None without one"
     )
     lateral_collateral: str | None = entry(
-        "Name of the line that is like the lateral collateral ligament"
+        "Name of the ligament that runs like the lateral collateral"
     )
     anterior_cruciate: str | None = entry(
-        "Name of the line that is like the anterior cruciate ligament"
+        "Name of the ligament that runs like the anterior cruciate"
     )
     posterior_cruciate: str | None = entry(
-        "Name of the line that is like the posterior cruciate ligament"
+        "Name of the ligament that runs like the posterior cruciate"
     )
 
     @property
@@ -199,7 +201,7 @@ def shifted(frame: Frame, offset: tuple[float, float, float], size: float) -> Ar
 
 
 def rim_point(compartment: Compartment, frame: Frame, angle: float) -> Array:
-    """Where the rim of a plateau is met from its centre at `angle` [mm], shape ``(3,)``.
+    """Point of a plateau's rim in the direction `angle` from its centre [mm], shape ``(3,)``.
 
     Parameters
     ----------
@@ -246,7 +248,7 @@ def _condyle(knee: Knee, sign: float, plateaus: Array) -> tuple[Array, float]:
 
 
 def _roles(knee: Knee, condyles: Array, plateaus: Array, size: float) -> dict[str, str | None]:
-    """The subject's line that runs like each of the four ligaments, by its name."""
+    """Name of the ligament that runs like each of the four collaterals and cruciates, or None."""
     anterior, superior, lateral = knee.tibia_frame.axes
     middle = plateaus.mean(axis=0)
 
@@ -289,7 +291,7 @@ def _roles(knee: Knee, condyles: Array, plateaus: Array, size: float) -> dict[st
 
 
 def _furthest(sheet: Surface, direction: Array) -> Array:
-    """Where a surface reaches furthest along a unit vector [mm], between equally far vertices."""
+    """Where a surface reaches furthest along a unit vector [mm]: a mean of far vertices."""
     reach = sheet.vertices @ direction
     weights = np.exp((reach - reach.max()) / (SOFT_SHARE * np.ptp(reach)))
     mean = weights @ sheet.vertices / weights.sum()

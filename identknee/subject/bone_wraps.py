@@ -13,15 +13,15 @@ from identknee.subject.ligament import Ligament
 from identknee.subject.obstacle import Obstacle, circle_through, way_over
 from identknee.subject.surface import Surface
 
-# Near its insertions a ligament lies on the bone [mm].
+# Length at each insertion over which a ligament lies on the bone and its depth does not count [mm].
 NEAR_INSERTION = 5.0
-# A line that cuts less deep into a bone passes it [mm].
+# A line that cuts less deep into a bone counts as straight [mm].
 LEAST_DEPTH = 0.5
-# Radii of what bone ligaments pass [mm]; the first is that of an edge.
+# Smallest and largest radius of an obstacle [mm]; the smallest stands for a sharp edge of bone.
 EDGE, LARGEST = 4.0, 60.0
-# Of the points between insertions at which the depth is looked for.
+# Points between the insertions at which the depth is evaluated.
 N_POINTS = 200
-STEP = 0.1  # mm
+STEP = 0.1  # mm, of the finite difference that gives the normal of the bone
 
 
 def with_wraps(knee: Knee, ligaments: Sequence[str]) -> Knee:
@@ -36,12 +36,12 @@ def with_wraps(knee: Knee, ligaments: Sequence[str]) -> Knee:
     knee
         A knee with the surfaces of its bones.
     ligaments
-        Which: names, or what several names begin with, such as ``"MCL"`` for MCLa and MCLp.
+        Their names, or the beginning of several names, such as ``"MCL"`` for MCLa and MCLp.
 
     Raises
     ------
     ValueError
-        If the knee has no surfaces of bones, or no ligament's name begins so.
+        If the knee has no surfaces of bones, or no ligament's name begins with one of these.
     """
     if knee.bones is None:
         raise ValueRefused(

@@ -28,7 +28,7 @@ from identknee.subject.ligament import Ligament, LigamentGroup
 
 @declared
 class Sheet:
-    """A sheet of the capsule: what its group is called, and its values before any test."""
+    """A sheet of the capsule: the name of its group, and its stiffness before any test."""
 
     group: str = entry("Name of the group of its lines")
     stiffness_kN: float = entry("Stiffness of the whole sheet", unit="kN")  # noqa: N815 - the unit
@@ -66,7 +66,7 @@ def with_capsule(knee: Knee, sheets: Sequence[str] = tuple(SHEETS)) -> Knee:
     knee
         The subject.
     sheets
-        Which, of `SHEETS`.
+        Which sheets, of `SHEETS`.
 
     Raises
     ------

@@ -24,31 +24,36 @@ from identknee.subject.knee import (
 from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface
 
-# Lengths in mm below which a knee's dimensions can only be metres.
+# A dimension of a knee below this number was given in metres, not in mm.
 METRES = 1.0
-# A leg seen from hip to ankle, in metres, is shorter than this many mm; no two landmarks are.
+# Landmarks from hip to ankle that are all closer than this number were given in metres.
 LEG_IN_METRES = 2.0
-# A femur smaller than this [mm] can only be in cm or inches; nothing in a knee is as long as the
-# second.
+# A femur smaller than the first [mm] was given in cm or inches; no surface or ligament of a knee is
+# longer than the second.
 LEAST_FEMUR, LONGEST = 25.0, 1000.0
-# Two surfaces that share this part of the smaller one's vertices are not two.
+# Surfaces that share more than this part of the smaller one's vertices are one surface given twice.
 SHARED = 0.5
-# A collateral ligament so far on the other side of the joint [mm] is the other one.
+# A collateral ligament farther than this on the other side of the joint [mm] is wrongly named.
 WRONG_BY = 10.0
+# Plausible size of the femoral surface and length of a ligament [mm].
 FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
+# Largest plausible gap and overlap of the cartilages in the scanned pose [mm].
 WIDEST_GAP = 3.0
 DEEPEST_OVERLAP = 4.0
 # Stiffness [kN] above which a warning is given; stiffness and strain [%] that no ligament has.
 ODD_STIFFNESS, IMPOSSIBLE_STIFFNESS, IMPOSSIBLE_STRAIN = 100.0, 1000.0, 100.0
-FARTHEST_ORIGIN = 150.0
-LANDMARK_ANGLE = 5.0
-NEAR_DUPLICATE = 1e-4
-SLIVER = 1e-3
+# If no strain exceeds this [%], strains were probably given as fractions.
+LARGEST_FRACTION = 0.2
+FARTHEST_ORIGIN = 150.0  # mm, of a frame from the joint surface
+LANDMARK_ANGLE = 5.0  # deg, between an axis of a frame and that of the landmarks
+NEAR_DUPLICATE = 1e-4  # mm, between vertices that should be one
+SLIVER = 1e-3  # height of a degenerate triangle over its longest edge
 # Flexion, varus and internal rotation [deg] of a scanned knee lie within these.
 SCANNED_ANGLES = {"flexion": (-20.0, 150.0), "varus": (-20.0, 20.0), "internal": (-45.0, 45.0)}
-# The condyles curl up behind, the trochlea does not curl up in front: normals this much upward
-# have their centre of area behind that of the whole surface.
+# The condyles curl up behind, and the trochlea does not in front. So triangles whose normals have
+# an upward component above UPWARD lie behind the centre of the whole surface. They count if they
+# make LEAST_UPWARD_SHARE of its area, and are anterior if in front by FORWARD_SHARE of its length.
 UPWARD = 0.5
 LEAST_UPWARD_SHARE = 0.005
 FORWARD_SHARE = 0.1
@@ -117,7 +122,7 @@ def fatal_geometry_findings(knee: Knee) -> tuple[GeometryFinding, ...]:
 
 
 def _other_findings(knee: Knee) -> Iterator[GeometryFinding]:
-    """What is found of a knee that can be used."""
+    """Findings about a knee without fatal errors."""
     for name, surface in _surfaces(knee):
         yield from _surface_findings(name, surface)
     yield from _contact_findings(knee)
@@ -147,7 +152,7 @@ def _same_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
 
 
 def _shared(some: Any, others: Any) -> float:
-    """Which part of some places are among others, shape ``(n, 3)`` each; 0 where it is little."""
+    """Share of the places (n, 3) that are among others (m, 3); 0 where it is at most `SHARED`."""
     if np.isin(some[:, 0], others[:, 0]).mean() <= SHARED:
         return 0.0
     known = set(map(tuple, others.tolist()))
@@ -366,7 +371,7 @@ def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
             sentence = "Its stiffness is zero, so that it carries nothing."
             yield geometry_finding("stiffness-zero", where, sentence)
     strains = np.abs([x.reference_strain_pct for x in knee.ligaments])
-    if strains.any() and strains.max() <= 0.2:
+    if strains.any() and strains.max() <= LARGEST_FRACTION:
         sentence = f"No reference strain exceeds {strains.max():g} %."
         values = {"largest_pct": strains.max()}
         yield geometry_finding("strains-as-fractions", "ligaments", sentence, values)
@@ -424,8 +429,8 @@ def _landmark_angles(knee: Knee) -> Iterator[tuple[str, str, float]]:
 
 # Triangles of the closest tenth show how two surfaces face each other where they are in contact.
 CLOSEST_SHARE = 0.1
-# Of a surface with more triangles or vertices than this so many are looked at, drawn at random:
-# where two bones face each other there still are hundreds, and only the sign of their mean is used.
+# Larger surfaces are sampled at this many triangles or vertices, drawn at random. Hundreds of them
+# lie where two bones face each other, and only the sign of their mean normal is used.
 LOOKED_AT = 5_000
 
 
@@ -477,7 +482,7 @@ def facing_normals(surface: Surface, other: Surface) -> Array:
 
 
 def _looked_at(n: int) -> IntArray:
-    """Which of so many triangles or vertices show how a surface faces another."""
+    """Indices of the triangles or vertices, of `n`, that are sampled."""
     if n <= LOOKED_AT:
         return np.arange(n)
     return np.random.default_rng(0).choice(n, LOOKED_AT, replace=False)

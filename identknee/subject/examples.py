@@ -21,7 +21,7 @@ class NamedSubject:
         default=None,
     )
     source: str = entry("Where the knee comes from, as it is to be cited")
-    licence: str = entry("Under which licence, as an SPDX expression")
+    licence: str = entry("Its licence, as an SPDX expression")
 
 
 _LENHART = (

@@ -1,4 +1,4 @@
-"""The signed distance to a femur, for whoever asks first and for the next who asks."""
+"""The signed distance to a femur, shared by the contact and the check of one knee."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -9,8 +9,7 @@ from identknee.subject.knee import Frame
 from identknee.subject.surface import Surface
 
 
-# Sorting the triangles of a fine surface takes seconds, and what is sorted hundreds of MB: the
-# contact and the check of one knee share it.
+# Sorting the triangles of a fine surface takes seconds and hundreds of MB, so the last is kept.
 @lru_cache(maxsize=1)
 def distance_to_femur(femur: Surface, frame: Frame) -> Callable[[Array], Array]:
     """A function that gives the signed distance [mm] of points in the axes of `frame`."""

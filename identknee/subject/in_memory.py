@@ -12,17 +12,12 @@ from identknee.subject.surface import Surface, read_surface, surface_of
 
 # What messages call it, in place of a file.
 NAME = "subject in memory"
-
-
 BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
-
-
 INSERTIONS = tuple(f"{bone}_{axis}_mm" for bone in BONES for axis in AXES)
-
-
 NUMBERS = ("stiffness_kN", "reference_strain_pct")
-
-
+# Keys that may hold meshes or a data frame, which are not plain values.
+_OWN = ("surfaces", "ligaments")
+# Remedy for what is not a surface.
 FORM = "Give a path, a Surface, a mesh with vertices and faces, or the pair (vertices, faces)."
 
 
@@ -52,9 +47,6 @@ def taken_apart(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Sur
     return {"format": 1, **values}, surfaces
 
 
-_OWN = ("surfaces", "ligaments")
-
-
 def _is_table(given: object) -> bool:
     return isinstance(given, Mapping)
 
@@ -68,7 +60,7 @@ def _surface(mesh: Any, name: str) -> Surface:
     where = f"surface {name}"
     if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
         pair: tuple[Any, Any] = mesh.vertices, mesh.faces
-    elif isinstance(mesh, tuple | list) and len(mesh) == len(BONES):
+    elif isinstance(mesh, tuple | list) and len(mesh) == 2:
         pair = mesh[0], mesh[1]
     else:
         raise InputError(NAME, where, f"{type(mesh).__name__} is not a mesh", FORM)

@@ -1,7 +1,7 @@
-"""Places on the bones: where structures insert, what places are called, and where a line may end.
+"""Insertion sites of structures, names of places on the bones, and where ligaments can be attached.
 
-Distances are those of a knee of typical size; `Anatomy.size` adapts them. What a source does not
-give is called an estimate: it comes from the segmented ligaments of one knee [1]_ or is ours.
+Distances are those of a knee of typical size; `Anatomy.size` scales them. What no source gives is
+called an estimate. It comes from the segmented ligaments of one knee [1]_ or is ours.
 
 Ligaments are attached beside the cartilage, where the subject's surfaces end. The bone there is
 drawn from what the surfaces, the flexion axis and the known insertions imply; its shape is an
@@ -46,9 +46,9 @@ from identknee.subject.knee import Knee
 
 # Bone beyond the cartilage at the rim of a plateau [mm], an estimate.
 BEYOND_RIM = 2.0
-# A line may run so deep through the articular surface of the femur [mm].
+# Largest depth of a line below the articular surface of the femur [mm].
 DEEPEST = 3.0
-# Points tried along a line, and how often it is moved outward at most.
+# Points along a line at which its depth is evaluated, and the most moves outward.
 SAMPLES = 41
 MOVES = 20
 
@@ -310,15 +310,16 @@ PlaceSide = Literal["medial", "central", "lateral"]
 Third = Literal["anterior", "middle", "posterior"]
 Name = TypeVar("Name", bound=str)
 
-# Distance [mm] and angle [rad] at which the weight of a structure has fallen to exp(-1/2).
+# The weight of a structure falls with its distance [mm] and angle [rad] to a line of action as a
+# Gaussian with these standard deviations.
 NEAR_DISTANCE = 8.0
 NEAR_ANGLE = np.radians(15.0)
-# The weight of what has no name: that of a structure this many of these away.
+# Nameless places have the weight of a structure this many standard deviations away.
 UNNAMED = 2.5
 ELSEWHERE = "elsewhere"
 # Shares below this are left out.
 LEAST_SHARE = 0.01
-# Central is nearer to the middle than half the way to a plateau's centre.
+# Central places are nearer to the middle than this share of the way to a plateau's centre.
 CENTRAL = 0.5
 
 
@@ -440,7 +441,7 @@ def sides_of(points: Array, centres: Array, lateral: Array) -> list[PlaceSide]:
     return ["central" if abs(x) < CENTRAL else "lateral" if x > 0.0 else "medial" for x in across]
 
 
-# Vertices of the femur's articular surface that are taken.
+# Vertices of the femur's articular surface among the points.
 ARTICULAR = 60
 # Around an epicondyle: how far it reaches from the flexion axis forwards, backwards, up and down
 # [mm], how far points are apart, and at which distance the bone is as wide as its cartilage.
@@ -542,7 +543,7 @@ def _labelled(parts: list[tuple[str, Array]], centres: Array, lateral: Array) ->
 
 
 def _spread(points: Array, number: int) -> Array:
-    """Some of the points, each the furthest from those before it; the first from their mean."""
+    """`number` of the points by farthest-point sampling, the first the furthest from their mean."""
     distance = np.linalg.norm(points - points.mean(axis=0), axis=1)
     # Rounded, so that of equally far points the first is taken wherever the knee lies.
     digits = 6 - int(np.ceil(np.log10(distance.max())))
@@ -600,7 +601,7 @@ def _below(knee: Knee, found: Anatomy, side: Compartment, angle: float) -> Array
     middle = np.mean([x.plateau_centre for x in found.compartments], axis=0)
     rim = rim_point(side, knee.tibia_frame, angle)
     outward = np.cos(angle) * anterior + side.outward * np.sin(angle) * lateral
-    from_axis = rim + 2.0 * found.size * outward - middle
+    from_axis = rim + BEYOND_RIM * found.size * outward - middle
     from_axis = from_axis - (from_axis @ superior) * superior
     depth = np.array(DEPTHS)[:, None]
     narrowing = 1.0 - (1.0 - NARROWEST) * depth / DEPTHS[-1]

@@ -1,4 +1,4 @@
-"""Line ligaments, and groups of those whose parameters are tied."""
+"""Line ligaments, and groups of ligaments with tied parameters."""
 
 import re
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ class Ligament:
     Raises
     ------
     ValueError
-        If a value is out of range, not finite, or both insertions coincide, or it passes its
-        obstacle on no side.
+        If a value is out of range or not finite, if both insertions coincide, or if the straight
+        line runs through the axis of the obstacle, so that the side is unknown.
     """
 
     name: str
@@ -84,8 +84,8 @@ class Ligament:
         return replace(self, femur=self.femur * mirror, tibia=self.tibia * mirror, wrap=wrap)
 
 
-LEAST = 2
-# A name, a number, perhaps a side.
+LEAST = 2  # members of a group
+# A name, a number, and perhaps the letter of a side.
 _NUMBERED = re.compile(r"(.*[^\W\d_])[-_ ]?\d+(?:[-_ ][rl])?", re.IGNORECASE)
 
 
@@ -120,7 +120,7 @@ class LigamentGroup:
 
 
 def groups_by_name(ligaments: Sequence[Ligament]) -> tuple[LigamentGroup, ...]:
-    """Groups of the ligaments that are called alike but for a number at the end, such as ``ACL2``.
+    """Groups of ligaments whose names differ by a number at the end only, such as ``ACL2``.
 
     Examples
     --------

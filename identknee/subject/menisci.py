@@ -31,8 +31,8 @@ STIFFNESS, LOG_STIFFNESS_SD, MOST_STIFFNESS = 1.0, 1.0, 5.0
 # usual, how much of the side towards the other plateau is left open [deg to either side], and how
 # high they are at most [mm]: estimates.
 WIDTH, OPEN_TO_INSIDE, HIGHEST = 10.0, 60.0, 8.0
-# Higher or lower than the gap in the scanned pose by at most [mm], since the distance to the femur
-# is known up to FIELD_REACH only.
+# Largest offset of the wedges from the gaps in the scanned pose [mm], since the distance to the
+# femur is tabulated up to FIELD_REACH only.
 MOST_OFFSET = 2.0
 FIELD_REACH = HIGHEST + MOST_OFFSET
 
@@ -48,7 +48,7 @@ def with_menisci(
 
     All verbs treat their stiffness like other parameters, with lognormal priors around these
     values: ``meniscal_wedge.medial_stiffness_N_per_mm3`` and the same of ``lateral``. A stiffness
-    of 0 is no meniscus and stays so. The offset is fixed.
+    of 0 stands for a removed meniscus and is not fitted. The offset is fixed.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def on_periphery(points: Array, rim: RimDistance, inward: float, width: float) -
     inward
         1 where the other plateau lies along the z axis, -1 where it lies against it.
     width
-        Of the meniscus [mm].
+        Width of the meniscus [mm].
     """
     forward, _, across = (points - points.mean(axis=0)).T
     from_inside = np.degrees(np.arctan2(np.abs(forward), inward * across))

@@ -8,7 +8,7 @@ import numpy as np
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
 from identknee.runs.errors import ValueRefused
 
-# A line that passes the axis by less than this share of the radius passes it on no side.
+# A line that passes the axis at less than this share of the radius has no defined side.
 ON_THE_AXIS = 1e-3
 
 
@@ -64,11 +64,12 @@ class Obstacle:
             raise ValueRefused(f"the centre of an obstacle lies {far}", CHECK_UNITS)
         if self.side is not None and self.axis is None:
             raise ValueRefused(
-                "a sphere has a side", "leave the side out: a ligament goes the shorter way"
+                "an obstacle without an axis is a sphere, and a sphere has no side",
+                "leave the side out: a ligament goes the shorter way",
             )
 
     def from_axis(self, points: Array) -> Array:
-        """How points (..., 3) lie off the axis, or the centre of a sphere [mm]."""
+        """Vectors to points (..., 3) from the axis, or from the centre of a sphere [mm]."""
         apart = np.asarray(points) - self.centre
         if self.axis is None:
             return np.asarray(apart)
@@ -76,7 +77,7 @@ class Obstacle:
         return np.asarray(apart - (apart @ along)[..., None] * along)
 
     def turning_axis(self, femur: Array, tibia: Array) -> Array:
-        """Unit vector about which the way turns by the right hand; zero of a sphere.
+        """Unit vector about which the ligament turns by the right hand; zero for a sphere.
 
         Parameters
         ----------
@@ -100,7 +101,7 @@ class Obstacle:
         least = ON_THE_AXIS * self.radius_mm * np.linalg.norm(way) * np.linalg.norm(self.axis)
         if abs(across) <= least * (1.0 if self.side is None else np.linalg.norm(out)):
             raise ValueRefused(
-                "the ligament passes its obstacle on no side",
+                "the ligament runs through the axis of its obstacle or along it",
                 "give a side that points from the axis to where the ligament passes",
             )
         return np.asarray(np.sign(across) * self.axis / np.linalg.norm(self.axis))

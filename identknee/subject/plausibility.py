@@ -1,7 +1,7 @@
-"""What no knee does: limits of force, strain and contact that count as evidence where asked.
+"""Limits of plausibility: of force, strain and contact, which count as evidence where asked for.
 
-A limit is about a specimen, not about a trial: it has one residual for all trials of a knee. Three
-forms are known. A *strength* says that the specimen did not fail: with strengths that are normal
+A limit is about a specimen, not about a trial: it has one residual for all trials of a knee. There
+are three forms. A *strength* says that the specimen did not fail: with strengths that are normal
 over specimens, its deviance is ``-2 log Phi((mean - largest) / sd)``. *Within* is a half-normal
 beyond a number, for the mean over trials. *Normal* is a value published for a standard load.
 """
@@ -34,9 +34,9 @@ TENSION, STRAIN, CONTACT = "tension_N", "strain_pct", "contact"
 AT, KEY = "@", "plausibility"
 DEFAULT, NONE = "default", "none"
 
-# Mean load at which each fails and its standard deviation over specimens [N]; ligaments whose names
-# begin so are parts of it. Where a source states the mean alone, the deviation is 30 % of it, as
-# that of the anterolateral bundle of the PCL is (500 of 1620 N).
+# Mean failure load of each ligament and its standard deviation over specimens [N]. Ligaments whose
+# names begin with a key are bundles of it. Where a source states the mean alone, the deviation is
+# 30 % of it, as that of the anterolateral bundle of the PCL is (500 of 1620 N).
 ASSUMED_SHARE = 0.3
 WOO = "Woo 1991, doi:10.1177/036354659101900303"
 RACE = "both bundles, Race 1994, doi:10.1016/0021-9290(94)90028-0"
@@ -59,8 +59,8 @@ ACL_OF_ANY_AGE = (1440.0, 628.0)
 # Ligament tissue fails at about this strain [%]. The deviation is an assumption.
 FAILURE_PCT, FAILURE_SD_PCT = 15.0, 2.0
 BUTLER = "Butler 1986, doi:10.1016/0021-9290(86)90019-9"
-# Compartments of a knee without varus moment carry alike [N]. An assumption: the published 67 N
-# are of arthroplasties balanced with sensors.
+# Largest mean difference of both contact forces without varus moment, and its scale [N]. An
+# assumption: the published 67 N are of arthroplasties balanced with sensors.
 BALANCE_N, BALANCE_SCALE_N = 150.0, 50.0
 GUSTKE = (
     "an assumption; arthroplasties are balanced to 67 N, Gustke 2014, "
@@ -70,7 +70,7 @@ GUSTKE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:
-    """A limit of what a knee does.
+    """A limit of plausibility.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ def default_limits(ligaments: Sequence[str], donor_age: float | None = None) -> 
     ligaments
         Their names.
     donor_age
-        Age of the donor [years], of which the strength of the ACL depends; None if unknown.
+        Age of the donor [years], on which the strength of the ACL depends; None if unknown.
 
     Examples
     --------

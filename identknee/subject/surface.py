@@ -1,6 +1,6 @@
-"""Triangulated surfaces: their geometry, their files, and what is mended of these.
+"""Triangulated surfaces: their geometry, their files, and repairs of faulty meshes.
 
-A mesh ought to have no triangle without area, none twice, and all wound alike.
+A sound mesh has no triangle without area, none twice, and all wound alike.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ from identknee.runs.files import PathLike, check_readable, write_atomically
 from identknee.runs.triangles import doubled_areas, lengths, longest_sides, side_names
 from identknee.subject.mesh_files import PARSERS, read_mesh
 
-# A triangle whose height is less, as a share of its longest edge, is a line; so is one whose height
-# is less than single precision resolves so far from the origin.
+# A triangle is flat if its height is below FLAT times its longest edge, or below SINGLE times its
+# distance from the origin, which single precision does not resolve.
 FLAT, SINGLE = 1e-5, 3e-7
 
 
@@ -114,7 +114,7 @@ def repaired(
 
 
 def _first_of_each(faces: IntArray) -> IntArray:
-    """Places of the triangles that no earlier one has the same corners as, in their order."""
+    """Indices of the triangles without an earlier one of the same corners, in their order."""
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T)
     ordered = corners[order]
@@ -202,9 +202,9 @@ def _longest(vertices: Array, faces: IntArray, chosen: BoolArray) -> dict[int, t
 
 
 def wound_otherwise(vertices: Array, faces: IntArray) -> BoolArray:
-    """Which triangles are wound otherwise than most of the area that is connected with them.
+    """Which triangles are wound unlike most of the area that they are connected with.
 
-    None is where no way of turning them makes all neighbours agree.
+    None is if no choice makes all neighbours agree, as on a Moebius strip.
     """
     none = np.zeros(len(faces), bool)
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -228,12 +228,12 @@ EXCHANGES = ((2, 1, 0), (0, 2, 1), (1, 0, 2))
 def exchanged_corners(
     vertices: Array, faces: IntArray, turned: BoolArray, *, is_soup: bool
 ) -> tuple[int, ...]:
-    """The exchange of two corners after which the triangles turned are like the others.
+    """The exchange of two corners that makes the turned triangles most like the others.
 
-    Where a triangle begins says nothing about the surface, but contact points are found by going
-    through the triangles from corner to corner. Programs number corners by some pattern: which
-    corner has the lowest number, and at which sides neighbours meet. One exchange of the three
-    leaves it as it was.
+    The first corner of a triangle says nothing about the surface, but contact points depend on it,
+    since they are found by going through the triangles from corner to corner. Programs number
+    corners by a pattern: which corner has the lowest number, and at which sides neighbours meet.
+    One of the three exchanges restores it.
     """
     if not turned.any():
         return EXCHANGES[0]

@@ -122,7 +122,7 @@ def test_a_ligament_passes_its_obstacle_on_one_side() -> None:
     mcl = ik.reference_knee().ligament("MCL")
     middle = 0.5 * (mcl.femur + mcl.tibia)
     through = Obstacle(bone="tibia", centre=middle, radius_mm=4.0, axis=np.array([1.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="no side"):
+    with pytest.raises(ValueError, match="runs through the axis"):
         replace(mcl, wrap=through)
     pushed = [
         replace(mcl, wrap=replace(through, side=np.array([0.0, 0.0, z]))).length for z in (1, -1)
