@@ -56,11 +56,11 @@ def mesh_distance(vertices: Array, faces: IntArray) -> Callable[[Array], Array]:
 def _build_tree(corners: Array) -> tuple[IntArray, Array, IntArray]:
     """A binary tree of bounding boxes: triangle order, boxes (n, 2, 3), spans (n, 3).
 
-    A span holds first and last triangle and, for an inner node, where its right child stands (the
-    left one follows it); a leaf has -1 there. The halves of a node differ by one triangle at most,
-    so that the nodes of a level have two sizes, and those of a size are split in one step.
+    A span holds the first triangle, the end of its triangles and the index of the right child, -1
+    for a leaf; the left child follows its parent. The halves of a node differ by one triangle at
+    most. So the nodes of a level have two sizes, and all of one size are split in one step.
     """
-    # A row an axis: steps along rows are many times as fast.
+    # One row for each axis: numpy is many times faster along rows.
     centres, order = np.empty((3, len(corners))), np.arange(len(corners))
     for part in blocks(len(corners)):
         a, b, c = (corners[part, k] for k in range(3))
@@ -119,7 +119,7 @@ def _boxes(corners: Array, order: IntArray, spans: IntArray) -> Array:
 
 @lru_cache(maxsize=256)
 def _n_nodes(size: int) -> int:
-    """How many nodes the tree of so many triangles has."""
+    """Number of nodes of the tree of `size` triangles."""
     if size <= LEAF_SIZE:
         return 1
     return 1 + _n_nodes(size // 2) + _n_nodes(size - size // 2)
@@ -128,10 +128,10 @@ def _n_nodes(size: int) -> int:
 def _features(
     vertices: Array, faces: IntArray, order: IntArray
 ) -> tuple[IndexArray, Array, BoolArray]:
-    """Which features each triangle has, the normal of each feature, and which are on the rim.
+    """Indices of the features of each triangle, their normals, and which are on the rim.
 
-    The numbers (m, 7) are those of face, edges 01 12 20 and corners. Normals and rim have a row for
-    each triangle in `order`, then for each edge, then for each vertex.
+    The indices (m, 7) are of the face, the edges 01, 12, 20 and the corners. Normals and rim have a
+    row for each triangle in `order`, then for each edge, then for each vertex.
     """
     m, n = len(faces), len(vertices)
     face, angles = np.empty((m, 3)), np.empty((3, m))

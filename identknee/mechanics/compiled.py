@@ -8,7 +8,7 @@ from identknee.runs import compiling
 FAST_MATH = {"reassoc", "contract", "arcp", "nsz"}
 
 compiled = partial(compiling.compiled, fastmath=FAST_MATH)
-# What a loop does with each element: the compiler takes four at a time where it stands in the loop.
+# For the body of a loop over elements: inlined, so that the compiler takes four elements at a time.
 compiled_into_callers = partial(compiled, inline="always")
-# What Python calls and bits hang on.
+# For functions that Python calls and whose results must agree to the last bit between processes.
 compiled_once = partial(compiling.compiled_once, fastmath=FAST_MATH)

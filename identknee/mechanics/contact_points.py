@@ -16,7 +16,7 @@ from identknee.runs.triangles import blocks, doubled_areas, lengths, side_names
 
 DEFAULT_NUMBER = 1500
 MOST_PIECES = 20  # a sheet is cut into about this many pieces a patch, or more
-ROUNDS = 40
+ROUNDS = 40  # of Lloyd's iteration
 
 
 def contact_points(
@@ -99,7 +99,7 @@ def _patches(vertices: Array, faces: IntArray, number: int) -> tuple[Array, Arra
     return centroid, area
 
 
-# Poses whose contact is looked for at once: 100 MB of places.
+# Poses whose contact is evaluated at once; the places of their points take 100 MB.
 AT_ONCE = 200
 
 
@@ -191,9 +191,10 @@ def _pressing(
     law: ContactLaw,
     found: tuple[IntArray, IntArray, Array, Array, Array],
 ) -> ContactPlaces:
-    """The points that press: the force of each is its spring times the pressure of a unit's law.
+    """Contact places of points that press, each with a force of its spring times the pressure.
 
-    `found` has pose and index of each, its place, the slope of the distance there and its depth.
+    The arrays of `found` are the pose, the index and the place of each point, the gradient of the
+    distance there, and the depth.
     """
     pose, index, femoral, outward, depth = found
     jacobian = placed.jacobian(points[index], pose)
@@ -355,7 +356,7 @@ def _crossing(vectors: Array) -> Array:
 
 
 RIM_MARGIN = 3.0  # mm
-FEW = 100  # places that are looked up faster by themselves than scipy is loaded
+FEW = 100  # places; for fewer, a direct search is faster than loading scipy
 
 
 @declared
@@ -385,7 +386,7 @@ class RimDistance:
 def _nearest(vertices: Array, places: Array) -> IntArray:
     """Which of the vertices is nearest each place, shape ``(n,)``."""
     if len(places) > FEW:
-        # It loads most of scipy.
+        # Loaded late, as it takes most of scipy.
         from scipy.spatial import cKDTree
 
         return np.asarray(cKDTree(vertices).query(places)[1])

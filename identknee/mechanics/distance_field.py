@@ -21,7 +21,7 @@ from identknee.runs.progress import progress
 PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3
 # mm; at this depth the pressure does not depend on the exponent of the law.
 REFERENCE_DEPTH = 0.3
-# mm; the distance field keeps what comes this near.
+# mm; the distance field marks the cells of points that come this near.
 MOST_ROUNDING = 0.15
 
 

@@ -1,4 +1,4 @@
-"""Equilibria of trials along their load paths: the kernel's door for the rest of the package.
+"""Equilibria of trials along their load paths: the interface of the compiled kernel.
 
 The path to a trial depends on that trial alone, not on the others of its protocol: from the
 scanned pose in steps of flexion, then along a straight line from no load to the full one. Trials
@@ -35,8 +35,8 @@ from identknee.runs.declare import array, declared, entry
 Continuation = Literal["continuation", "single-step"]
 FLEXION_STEP = np.radians(10.0)
 LOAD_STEP = 2000.0 / ROTATION_SCALE  # N, or N mm per rotation scale: 2 N m
-NEAR = 30.0  # mm, or 43 deg of rotation: what is farther from a measured pose is another one
-FREE = 1e9  # mm; as far as it goes
+NEAR = 30.0  # mm, or 43 deg of rotation: an equilibrium farther from a measured pose is another one
+FREE = 1e9  # mm; no limit
 _SCALE = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
 
 
@@ -120,7 +120,7 @@ def paths_of_release(flexion: Array, loads: Array) -> LoadPaths:
 
 
 class _Tree:
-    """Nodes so far, found again by what they are and where they come from."""
+    """Nodes of the paths; trials share a node of equal flexion, load and parent."""
 
     def __init__(self) -> None:
         self.flexion: list[float] = []
@@ -139,7 +139,7 @@ class _Tree:
 
 
 def _steps(whole: float, step: float) -> list[float]:
-    """Multiples of `step` up to `whole`, then `whole` itself; nothing where it is zero."""
+    """Multiples of `step` below `whole`, then `whole` itself; nothing where it is zero."""
     if abs(whole) < 1e-9 * step:
         return []
     full = int(np.ceil(abs(whole) / step - 1e-9))
@@ -157,7 +157,7 @@ _kept = _Kept()
 
 
 def kept_workspace(n_points: int, n_columns: int) -> Workspace:
-    """The calling thread's workspace, which has forgotten what the last simulation evaluated."""
+    """The calling thread's workspace, without the evaluations of its last simulation."""
     if _kept.size != (n_points, n_columns):
         _kept.last, _kept.size = workspace(n_points, n_columns), (n_points, n_columns)
     _forget(_kept.last.evaluation)
@@ -165,7 +165,7 @@ def kept_workspace(n_points: int, n_columns: int) -> Workspace:
 
 
 def workspace(n_points: int, n_columns: int = 0) -> Workspace:
-    """Memory for the work with so many contact points, and columns of sensitivities."""
+    """Working memory for `n_points` contact points and `n_columns` sensitivities."""
     n = n_points + 1
     evaluation = EvaluationMemory(
         placed=record(PLACED),
@@ -198,7 +198,7 @@ def _forget(evaluation: EvaluationMemory) -> None:
 
 _meniscus_arrays = lru_cache(maxsize=8)(Menisci.arrays)
 TRANSITION_STRAIN = 0.03
-# What is kept of a line, and how many numbers each is, in the order of `LineLigaments.table`.
+# Number of columns of each property of a line, in the order of `LineLigaments.table`.
 _WIDTHS = {
     **{"femoral": 3, "tibial": 3, "obstacle_centre": 3, "obstacle_axis": 3},
     **{"reference_length": 1, "transition": 1, "wrap_offset": 1, "wrap_place": 1},
@@ -221,7 +221,7 @@ class ContactPoints:
         default=None,
     )
     menisci: Menisci | None = entry(
-        "What presses beside contact, with sensitivities to it and to the law; None without",
+        "The menisci, with sensitivities to them and to the law; None without",
         default=None,
     )
 
@@ -270,11 +270,11 @@ class LineLigaments:
         default=TRANSITION_STRAIN,
     )
     wrap_offset: Array | float = entry(
-        "How far something pushes each line aside, towards femoral z [mm], shape ``(m,)``",
+        "How far each line is pushed aside along femoral z, as by a bone [mm], shape ``(m,)``",
         default=0.0,
     )
     wrap_place: Array | float = entry(
-        "Where it does, as a share of the way from the tibia to the femur, shape ``(m,)``",
+        "Where it is pushed, as a share of the way from the tibia to the femur, shape ``(m,)``",
         default=0.5,
     )
     obstacle_radius: Array | float = entry(
@@ -312,9 +312,9 @@ class LineLigaments:
         return np.flatnonzero((np.asarray(self.obstacle_radius) > 0.0) & is_own)
 
     def table(self) -> Array:
-        """All that is known of each line, shape ``(m, LINE_COLUMNS)``.
+        """The properties of each line, shape ``(m, LINE_COLUMNS)``.
 
-        Femoral and tibial insertion, centre and axis of the obstacle, then plain numbers.
+        Femoral and tibial insertion, centre and axis of the obstacle, then those of one number.
         """
         return np.column_stack([getattr(self, x) for x in _WIDTHS])
 
@@ -382,7 +382,7 @@ def solve(
         menisci=np.zeros((n, N_SIDES, 7)),
         solves=np.zeros(n, np.int64),
     )
-    # In one memory order: the compiler makes another version of its code for another.
+    # In C order, since the compiler makes another version of its code for each memory order.
     simulate_path(
         _node_arrays(paths),
         np.array(np.broadcast_to(start, (n, 5)), order="C"),
@@ -398,7 +398,7 @@ def solve(
     return found
 
 
-# The same for many simulations.
+# Many simulations share the same paths.
 @lru_cache(maxsize=4)
 def _node_arrays(paths: LoadPaths) -> NodeArrays:
     return read_only(
@@ -418,5 +418,4 @@ _field_arrays = lru_cache(maxsize=4)(DistanceField.arrays)
 
 def stability_margins(hessians: Array) -> Array:
     """Smallest eigenvalue of each Hessian [N/mm], rotations scaled by 40 mm; shape ``(n,)``."""
-    scale = np.array([ROTATION_SCALE, ROTATION_SCALE, 1.0, 1.0, 1.0])
-    return np.linalg.eigvalsh(hessians / scale[:, None] / scale)[:, 0]
+    return np.linalg.eigvalsh(hessians / _SCALE[:, None] / _SCALE)[:, 0]

@@ -11,7 +11,7 @@ from identknee.runs.declare import array, declared
 
 @declared
 class LigamentWrench:
-    """What the ligaments do to the tibia at one pose."""
+    """Generalised force, stiffness and tensions of the ligaments at one pose."""
 
     force: Array = array(
         "Generalised force on varus, internal rotation, x, y and z", "freedom", unit="N mm or N"
@@ -103,10 +103,10 @@ class LigamentTensions:
         unit="N/rad or N/mm",
     )
     by_stiffness: Array = array(
-        "Derivatives of the tensions by the stiffness of the own ligament", "pose", "ligament"
+        "Derivative of each tension by the ligament's own stiffness", "pose", "ligament"
     )
     by_strain: Array = array(
-        "Derivatives of the tensions by the reference strain of the own ligament",
+        "Derivative of each tension by the ligament's own reference strain",
         *("pose", "ligament"),
         unit="N",
     )
@@ -117,7 +117,7 @@ class LigamentTensions:
         unit="1/rad or 1/mm",
     )
     strains_by_strain: Array = array(
-        "Derivatives of the strains by the reference strain of the own ligament",
+        "Derivative of each strain by the ligament's own reference strain",
         *("pose", "ligament"),
     )
 
@@ -147,7 +147,7 @@ def ligament_tensions(
     """
     length, lengthening = _lengths(lines, flexion, poses)
     slack_length = lines.reference_length / (1.0 + reference_strain)
-    # The law is asked for unit stiffness, since stiffness zero has a slope by stiffness as well.
+    # Evaluated at unit stiffness, because the derivative by a stiffness of zero is needed as well.
     strain = length / slack_length - 1.0
     per_stiffness, slope = line_tensions(strain, np.ones(len(stiffness)), lines.transition)
     return LigamentTensions(
@@ -180,7 +180,7 @@ def line_lengths(lines: LineLigaments, flexion: float, pose: Array) -> Array:
     return _lengths(lines, np.array([flexion]), pose[None])[0].reshape(-1)
 
 
-# Between corners of a drawn arc [rad].
+# Angle between the corners of a drawn arc [rad].
 ARC_STEP = 0.1
 
 
@@ -229,7 +229,7 @@ def arc_of_way(start: Array, end: Array, centre: Array, axis: Array, radius: flo
     turned = np.linspace(first, first + arc, 2 + int(arc / ARC_STEP))
     out = off[0] / far[0]
     circle = np.outer(np.cos(turned), out) + np.outer(np.sin(turned), np.cross(across, out))
-    # Rolled out, the way rises evenly.
+    # On the unrolled cylinder the way is a straight line.
     walked = tangents[0] + radius * (turned - first)
     rise = along[0] + (along[1] - along[0]) * walked / (tangents.sum() + radius * arc)
     return np.asarray(centre + radius * circle + rise[:, None] * axis)
@@ -300,7 +300,7 @@ def _courses_around(lines: LineLigaments, flexion: Array, poses: Array) -> _Cour
 
 
 def _course(lines: LineLigaments, offset: Array) -> tuple[Array, Array]:
-    """Length of each line and its gradient by `offset` (3, n, m), pushed aside where it is."""
+    """Length of each line and its gradient by `offset` (3, n, m), with its push aside."""
     place, offset_z = np.asarray(lines.wrap_place), np.asarray(lines.wrap_offset)
     if not offset_z.any():
         length = np.sqrt((offset**2).sum(axis=0))
@@ -336,7 +336,7 @@ def _offsets(lines: LineLigaments, flexion: Array, poses: Array) -> tuple[Array,
 
 
 NM_PER_NMM = 1e-3
-# Of a wrench, which has moments in N m, along a twist in mm and rad.
+# A wrench with moments in N m, divided by these, has them in N mm: it is then work per mm or rad.
 WORK = np.array([1.0, 1.0, 1.0, NM_PER_NMM, NM_PER_NMM, NM_PER_NMM])
 
 
@@ -401,7 +401,7 @@ def line_wrenches(
         length / slack_length - 1.0, np.ones(len(stiffness)), lines.transition
     )
     tension, slope = stiffness * per_stiffness, stiffness * slope
-    # A line does the work that stretches it.
+    # By virtual work the derivative of the length by a twist is minus the wrench of 1 N.
     pulled = -(slope / slack_length)[:, :, None] * pull / WORK
     by_strain = slope * length / lines.reference_length
     return LineWrenches(

@@ -1,6 +1,6 @@
-"""What the compiled code reads and writes, by name: arrays in groups, and one thread's memory.
+"""Groups of named arrays that compiled code reads and writes, and the memory of a thread.
 
-Compiled code takes named tuples as it takes others.
+Compiled code accepts named tuples like other tuples.
 """
 
 from typing import Any, NamedTuple, TypeVar
@@ -20,8 +20,9 @@ ROTATION_SCALE = 40.0
 # the law has no rounding; from this bit on the same where it has.
 FIRST_ROUNDED = 8
 MOST_HALVINGS = 10  # of the way from one node of the load path to the next
-# How far a spring that holds the knee has let go, from 0 to 1: where a knee without equilibrium is
-# held, and where the equilibrium is looked for at first, the largest that has one.
+# A spring that holds the knee is released from 0 to 1. A knee without equilibrium is held at the
+# largest of HOLDS well below the release at which it gives way; the first equilibrium is sought at
+# each of BEGINNINGS until there is one.
 HOLDS = np.array([0.9, 0.7, 0.5, 0.3, 0.2, 0.1])
 BEGINNINGS = np.array([0.1, 0.01, 0.001])
 NEAR_CELLS = 1  # a cell is near when a cell this many away, along any axis, may hold contact
@@ -33,8 +34,8 @@ Group = TypeVar("Group", bound=tuple[Any, ...])
 def read_only(group: Group) -> Group:
     """The group with read-only views of its arrays.
 
-    The compiler makes another version of its code for arrays that can be written to, and whether
-    one can hangs on where it comes from: a pickled array forgets that it could not.
+    The compiler makes another version of its code for writable arrays, and an array that was
+    read-only is writable after it was pickled.
     """
     views = [x.view() if isinstance(x, np.ndarray) else x for x in group]
     for view in views:
@@ -80,15 +81,15 @@ class ContactArrays(NamedTuple):
     points
         [mm], shape ``(3, n)``.
     radius
-        Distance of the farthest from the tibial origin [mm].
+        Distance of the farthest point from the tibial origin [mm].
     stiffness
         Contact modulus times tributary area [N/mm], shape ``(n,)``.
     compartment
-        Which tibial surface each belongs to, shape ``(n,)``.
+        Index of the tibial surface that each point belongs to, shape ``(n,)``.
     law
         Exponent and rounding [mm] of the contact law.
     menisci
-        What presses beside contact.
+        The points of the menisci, which press beside contact.
     """
 
     points: Array

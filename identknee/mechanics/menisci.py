@@ -27,12 +27,12 @@ class Menisci:
         "Pressure per compression of the medial and of the lateral meniscus", "2", unit="N/mm3"
     )
     field: DistanceField | None = entry(
-        "Distance to the femur in the frame of contact's, which reaches farther than that; None "
+        "Distance to the femur in the frame of the contact's field, up to larger distances; None "
         "where there are no points"
     )
 
     def at(self, values: Array) -> "Menisci":
-        """The menisci with stiffness of each side [N/mm3], and higher by the last of 3 [mm]."""
+        """The menisci at `values`: stiffness of each side [N/mm3], and added height [mm]."""
         return replace(self, stiffness=values[:2], heights=self.heights + values[2])
 
     def arrays(self) -> MeniscusArrays:

@@ -1,12 +1,12 @@
 """The paper's contact law: vertices of one mesh pressed against the triangles of another.
 
 Each vertex inside the opposing sheet bears ``F = P A d`` along the normal of its closest triangle,
-of area ``A``, at depth ``d``. The law has no energy: its force jumps where the closest triangle
-changes. One way it gives about half the integral of ``P d`` over the contact, since a sheet has
-half as many vertices as triangles, and more or less where the two meshes differ in density.
+of area ``A``, at depth ``d``. With the vertices of one sheet only, the sum is about half the
+integral of ``P d`` over the contact, since a sheet has half as many vertices as triangles. It is
+more or less where the two meshes differ in density.
 
-The law's force jumps where a vertex changes its closest triangle, so a pose with no residual need
-not exist; the search then ends at the smallest residual it saw and says so.
+The law has no energy, and its force jumps where a vertex changes its closest triangle. So a pose in
+equilibrium need not exist; the search then ends at the smallest residual that it met.
 
 References
 ----------
@@ -34,7 +34,7 @@ from identknee.runs.record import Outcome
 
 Convention = Literal["tibia", "femur", "both"]
 
-DEEPEST = 5.0  # mm; a vertex farther inside is on another side of the bone, not in contact
+DEEPEST = 5.0  # mm; a deeper vertex belongs to the far side of the bone, not to the contact
 PATCH_SIZE = 5.0  # mm; vertices in one such cube are tested for contact together
 SLACK = 1e-6  # mm, what rounding may do to a length of some 100 mm, with room
 BOX_SLACK = 0.05  # mm, far more than the tolerance of the box test
@@ -42,7 +42,7 @@ BOX_SLACK = 0.05  # mm, far more than the tolerance of the box test
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sheet:
-    """An open triangle mesh with what contact asks of it.
+    """An open triangle mesh, with the quantities that contact needs.
 
     Attributes
     ----------
@@ -152,26 +152,26 @@ class Penetration:
 
 @declared
 class ContactWrench:
-    """What mesh contact does to the tibia at one pose."""
+    """Generalised force and stiffness of mesh contact on the tibia at one pose."""
 
     force: Array = array(
         "Generalised force on varus, internal rotation, x, y and z", "freedom", unit="N mm or N"
     )
     stiffness: Array = array(
-        "Minus its derivative by the pose were every vertex to keep its triangle and the direction "
-        "of its force: ``sum P A n n^T`` in the coordinates",
+        "Minus its derivative by the pose, with the triangle and the direction of each vertex's "
+        "force held fixed: ``sum P A n n^T`` in the coordinates",
         *("freedom", "freedom"),
         unit="N mm, N or N/mm",
     )
     compartments: Array = array(
-        "Sums of the sizes of the forces on the tibial sheets", "sheet", unit="N"
+        "Sum of the magnitudes of the forces on each tibial sheet", "sheet", unit="N"
     )
     n_touching: int = entry("Number of vertices in contact", unit="1")
 
 
 @declared
 class MeshContact:
-    """A femur and the tibial sheets that touch it, each on its own.
+    """A femur and the tibial sheets that touch it, each with its own contact.
 
     Raises
     ------
@@ -256,10 +256,10 @@ def mesh_contact(
 def penetrations(points: Array, sheet: Sheet) -> Penetration:
     """The `points` (n, 3) [mm] that lie less than 5 mm inside `sheet`, in the sheet's axes.
 
-    A point is inside when it lies behind its closest triangle. Where the closest place is on the
-    sheet's rim the point is past the sheet and not inside. Where it is on an edge or a corner, so
-    that several triangles are equally close, the one that the point is most squarely behind or in
-    front of decides, which is the one that gives the right side.
+    A point is inside if it lies behind its closest triangle, and outside if the closest place is on
+    the sheet's rim. If the closest place is on an edge or a corner, several triangles are equally
+    close. Then the triangle decides whose plane is farthest from the point, which gives the right
+    side.
     """
     owner, triangle = _candidates(points, sheet)
     height = np.einsum("ij,ij->i", points[owner] - sheet.centres[triangle], sheet.normals[triangle])
@@ -312,7 +312,7 @@ def _closest_places(corners: Array, points: Array) -> Array:
 
 
 def _closest_pairs(owner: IntArray, distance: Array, height: Array) -> IntArray:
-    """Which pair decides for each point: the closest, of equally close ones the most square."""
+    """The pair that decides for each point: the closest, then that with the farthest plane."""
     if len(owner) == 0:
         return np.empty(0, np.int64)
     starts = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -335,7 +335,7 @@ def _is_on_rim(places: Array, triangle: IntArray, sheet: Sheet) -> BoolArray:
 
 
 def collision_hierarchy(vertices: Array, faces: IntArray) -> Any:  # fcl has no types
-    """The triangles of a mesh as fcl looks for those that touch others."""
+    """Bounding volume hierarchy of the triangles of a mesh, for collision tests by fcl."""
     hierarchy = fcl.BVHModel()
     hierarchy.beginModel(len(vertices), len(faces))
     hierarchy.addSubModel(vertices, faces)
