@@ -178,7 +178,7 @@ BUILT_IN = ("seed63", "table2", "drawer")
 MOMENT_LIMIT_NM = 50.0
 FORCE_LIMIT_N = 1000.0
 FLEXION_LIMITS_DEG = (-10.0, 160.0)
-# Enough for any test; more come of a list pasted by mistake, and would fill the memory.
+# Enough for any test; a list pasted by mistake may ask for more, which would fill the memory.
 MOST_TRIALS = 100_000
 
 
@@ -834,8 +834,8 @@ def zero_fault(zero: str, protocol: Protocol, coordinates: Array) -> tuple[str, 
 
 
 FLEXION_DEG = tuple(range(0, 121, 15))
-# What rigs and examiners apply: drawer, varus/valgus and internal/external tests one at a time, on
-# a compressed or distracted knee, and in pairs.
+# Loads that rigs and examiners apply: drawer, varus/valgus and internal/external tests one at a
+# time, on a compressed or distracted knee, and in pairs.
 SINGLE: tuple[Mapping[str, float], ...] = (
     {},
     *({"internal_moment_Nm": x} for x in (-10.0, -5.0, 5.0, 10.0)),
@@ -923,17 +923,17 @@ def candidate_trials(made: Protocol, flexion_deg: Sequence[float] = FLEXION_DEG)
     )
 
 
-# A load that differs from a usual one by no more than this share of it is meant to be that one.
+# A load within this share of one in `SINGLE` was meant to be that one.
 AS_USUAL = 0.05
 
 
 def nominal_trials(made: Protocol) -> tuple[BoolArray, Array, Array]:
-    """The trials as they were meant: which are so already, their flexion [deg] and loads, (n, 5).
+    """The trials as they were meant: which are so already, flexion [deg] and loads (n, 5).
 
     A trial is meant to have its dominant load alone, beside what the rig holds in all trials. The
-    load has the largest size of that direction in any trial, to two digits or as in a usual test,
-    and flexion is nominal, in whole degrees. A trial is so already where it has no stray load and a
-    flexion that it shares with other trials.
+    load is the largest in that direction of any trial, to two digits or as in a usual test, and
+    flexion is nominal, in whole degrees. A trial that has no stray load, and shares its flexion
+    with other trials, is kept.
     """
     changes, dominant = _changes(made), dominant_loads(made)
     flexion = nominal_flexion(made)
@@ -951,7 +951,7 @@ def nominal_trials(made: Protocol) -> tuple[BoolArray, Array, Array]:
     return is_exact, np.where(is_exact, flexion, np.round(flexion)), loads
 
 
-# A load is held if it is within this share of its median in most trials.
+# A load is held if it is within STEADY of its median, as a share of it, in IN_MOST of the trials.
 STEADY, IN_MOST = 0.3, 0.8
 
 
@@ -977,7 +977,7 @@ def _nominal_load(axis: int, value: float) -> float:
 
 
 def unique_names(names: Sequence[str], taken: Sequence[str]) -> tuple[str, ...]:
-    """The names, with a number added to those that are taken or come again.
+    """The names, with a number added to those that are taken or repeated.
 
     Examples
     --------

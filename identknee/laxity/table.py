@@ -26,6 +26,7 @@ from identknee.laxity.protocol import (
     BUILT_IN,
     FLEXION,
     LOADS,
+    OPPOSITE,
     UNLOADED,
     Protocol,
     beyond,
@@ -684,16 +685,22 @@ def relative_to_unloaded(laxity: Laxity) -> Laxity:
 
     Replicates of the unloaded trial are averaged over those that measured the coordinate; where
     none did, the change is not measured either. A standard deviation of a loaded trial becomes that
-    of the difference; unloaded trials keep their own. Laxity that is relative already is returned
-    as it is.
+    of the difference; unloaded trials keep their own. Laxity that is relative to the unloaded pose
+    already is returned as it is.
 
     Raises
     ------
     ValueError
-        If a flexion angle has no unloaded trial.
+        If a flexion angle has no unloaded trial, or coordinates are changes from the trial with the
+        opposite load, which do not tell where the unloaded pose is.
     """
-    if laxity.zero == "unloaded":
+    if laxity.zero == UNLOADED:
         return laxity
+    if laxity.zero == OPPOSITE:
+        raise ValueError(
+            "changes from the trial with the opposite load do not tell where the unloaded pose is; "
+            "give absolute coordinates"
+        )
     measured = laxity.is_measured
     zeros = np.empty(laxity.coordinates.shape)
     variances = np.empty(laxity.coordinates.shape)
@@ -708,7 +715,7 @@ def relative_to_unloaded(laxity: Laxity) -> Laxity:
     if sd is not None:
         added = np.where(laxity.protocol.is_unloaded[:, None] | np.isnan(variances), 0.0, variances)
         sd = np.sqrt(sd**2 + added)
-    return replace(laxity, coordinates=laxity.coordinates - zeros, sd=sd, zero="unloaded")
+    return replace(laxity, coordinates=laxity.coordinates - zeros, sd=sd, zero=UNLOADED)
 
 
 @declared
@@ -736,7 +743,7 @@ class LaxityError:
 def laxity_rmse(simulated: Laxity, measured: Laxity) -> LaxityError:
     """Root-mean-square difference over all that was measured.
 
-    Where only `measured` counts from poses of its own, `simulated` is made so first.
+    Absolute coordinates of `simulated` are first counted from the zero of `measured`.
 
     Raises
     ------
@@ -849,7 +856,7 @@ def add_noise(
 
 TABLE_FILES = (".csv", *SUFFIXES)
 
-# Without `Laxity`, which stands for data in the types of verbs; it is read like a frame.
+# `Laxity` is not listed, because verbs take it as data in their types; it is read like a frame.
 TrialsLike = Protocol | Frame | PathLike
 """A protocol, the name or file of one, or a laxity table whose trials are meant."""
 

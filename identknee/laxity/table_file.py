@@ -30,6 +30,7 @@ from identknee.laxity.protocol import (
     Protocol,
     zero_fault,
 )
+from identknee.laxity.radians import DEG
 from identknee.laxity.spreadsheets import (
     COUNT,
     NAMELESS,
@@ -295,7 +296,7 @@ class CellFile:
 
     @property
     def _under_own_names(self) -> dict[str, int]:
-        """Position of the columns that no line calls otherwise."""
+        """Position of the columns that keep their names, which no comment line renames."""
         return {x: place for x, place in self.columns.items() if x not in self.sources}
 
     def is_other_decimal(self, text: str) -> bool:
@@ -472,9 +473,9 @@ TIME = "time_s"
 LEVELS = (50.0, 100.0)  # % of the load that every ramp reaches
 # A load reverses where it goes back by this share of its range; less is sensor noise.
 TURN = 0.2
-# A second load that is ramped by this share of the first, both beside a usual test's, is a test.
+# Two loads are ramped if the second changes by this share of the first, both relative to `TYPICAL`.
 SECOND = 0.5
-# A load that strays by less than this share of a usual test's is held.
+# A load that varies by less than this share of `TYPICAL` is held.
 HELD = 0.2
 # Flexion that changes more than this while loads are held may be in radians.
 MAY_BE_RADIANS = 0.1
@@ -550,7 +551,7 @@ def mean_curves(
 
 def is_held(samples: Array) -> bool:
     """Whether loads are held in these samples of a ramp while the knee is flexed."""
-    # What a rig lets a held load stray for a moment is no load of a test.
+    # Percentiles, because a rig may let a held load stray for a moment.
     low, high = np.percentile(samples[:, 2:7], (5.0, 95.0), axis=0)
     is_still = np.all((high - low) / TYPICAL < HELD)
     return bool(is_still and np.ptp(samples[:, 1]) > SAME_FLEXION_DEG)
@@ -790,7 +791,6 @@ def _stated_numbers(
 
 SUFFIXES, MOTION, END = (".sto", ".mot"), ".mot", "endheader"
 COUNTED_BY, NOT_SAID = "inDegrees", "no line inDegrees states the unit of angles"
-DEG = 57.29577951308232
 # A factor that turns radians into degrees, to the digits that people write.
 IN_DEGREES = (57.2, 57.4)
 _STATED = re.compile(r"(\w+)[ \t=]+(.*)")
@@ -798,7 +798,7 @@ _STATED = re.compile(r"(\w+)[ \t=]+(.*)")
 
 @unique
 class Counted(Enum):
-    """How angles of a storage are counted, and what says so."""
+    """Unit of the angles of a storage, and whether its head states it."""
 
     DEGREES = "degrees"
     RADIANS = "radians"
@@ -857,14 +857,14 @@ def counted(head: Iterable[str], suffix: str) -> Counted:
 
 
 WHOLE_TURN, STRAIGHT = 360.0, 180.0
-# Beyond this no angle of a knee is likely, so that less a whole turn it is what was meant.
+# Larger angles of a knee are unlikely: a whole turn is taken off them.
 LIKELY_DEG = 90.0
-# Angles that are all this far from zero, on both sides, lie about half a turn.
+# Angles that are all beyond this, positive and negative ones, lie around half a turn.
 NEAR_HALF = 150.0
 
 
 def flexion_turns(values: Array) -> Array:
-    """What to add to each flexion angle [deg]: a whole turn where only that makes it one.
+    """Turns to add to flexion angles [deg]: a whole one where only that gives a possible angle.
 
     Examples
     --------
@@ -880,9 +880,9 @@ def flexion_turns(values: Array) -> Array:
 
 
 def is_from_straight(values: Array) -> bool:
-    """Whether flexion angles [deg] are those of a knee that is straight at 180 deg.
+    """Whether flexion angles [deg] are counted from a straight knee at 180 deg.
 
-    All of them are such angles, and some can be nothing else.
+    All of them are possible if counted so, and some are impossible otherwise.
 
     Examples
     --------
@@ -898,9 +898,9 @@ def is_from_straight(values: Array) -> bool:
 
 
 def is_negative(values: Array) -> bool:
-    """Whether flexion angles [deg] are those of a knee that flexes towards negative angles.
+    """Whether flexion angles [deg] grow towards negative values.
 
-    All of them are such angles, and some can be nothing else.
+    All of them are possible if counted so, and some are impossible otherwise.
 
     Examples
     --------
@@ -914,7 +914,7 @@ def is_negative(values: Array) -> bool:
 
 
 def coordinate_turns(values: Array) -> Array:
-    """What to add to each value of an angle [deg] so that the column has no jump of a whole turn.
+    """Turns to add to the values of an angle [deg], so that the column has no jump of a turn.
 
     Values beyond half a turn are turned back to what a knee may have. Where all are near half a
     turn, on either side of it, as changes from a zero can be, they are cut where the widest gap is.

@@ -378,7 +378,7 @@ def _apply_on_one_thread(function: Callable[[Any], Any], item: Any) -> Any:
     return function(item)
 
 
-# As processes of this machine are set when they start, so that sums have the same bits.
+# Once in each worker, as processes on this machine do at their start, so that sums have equal bits.
 _keep_to_one_thread = cache(use_one_library_thread)
 
 

@@ -1,4 +1,4 @@
-"""The knee: surfaces, frames, ligaments and stored effects of a subject, and how well known."""
+"""The knee of a subject: surfaces, frames, ligaments, stored effects and their uncertainty."""
 
 import math
 import re
@@ -21,7 +21,7 @@ BONES = ("femur", "tibia")
 Spread = float | tuple[tuple[float, float, float], ...]
 Spreads = Mapping[str, Mapping[str, Spread]]
 UncertainLike = str | Sequence[str] | Mapping[str, float] | None
-# More than this is not an error of a measurement any more; settings stay where their laws hold.
+# Largest standard deviations that are accepted, by unit; a measurement has no larger errors.
 LARGEST = {"mm": 25.0, "deg": 20.0, "": 1.0}
 EXACT = "none"
 _SIZE = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|deg|%|)\s*")
@@ -33,7 +33,7 @@ def _stated(meaning: str) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncertainty:
-    """Standard deviations of what is given with a knee and its tests; 0 stands for exact.
+    """Standard deviations of the errors of a knee's geometry and of its tests; 0 stands for exact.
 
     Every error is normal with mean zero. The names end in the unit; numbers without one are
     relative, or of a logarithm.
@@ -81,7 +81,7 @@ class Uncertainty:
     """
 
     insertions_mm: float | Spreads = field(default=0.0, metadata={"meaning": "insertions"})
-    # Records of knees that state no such size are those of before.
+    # Not printed, so that records of knees without it are as they were in earlier versions.
     insertions_normal_mm: float = field(
         default=0.0, repr=False, metadata={"meaning": "insertions across the bone"}
     )
@@ -124,7 +124,7 @@ class Uncertainty:
 
     @property
     def words(self) -> dict[str, str]:
-        """What each part was taken for, such as ``2 mm`` or ``exact``, by the name of the part."""
+        """Standard deviation of each part in words, such as ``2 mm`` or ``exact``, by its name."""
         found: dict[str, str] = {}
         for name, value in self._values():
             if isinstance(value, Mapping):
@@ -320,7 +320,7 @@ class StatedPrior:
     Raises
     ------
     ValueError
-        If not exactly one of both is given, or it is not greater than 0.
+        If not exactly one of `sd` and `log_sd` is given, or it is not greater than 0.
     """
 
     sd: float | None = None
@@ -348,7 +348,7 @@ class StatedPrior:
         return float((self.sd if self.log_sd is None else self.log_sd) or 0.0)
 
 
-# Axes written with three decimals are off by less; a sheared or scaled frame by more.
+# Largest error of orthonormal axes written with three decimals; sheared or scaled frames exceed it.
 ROUNDING = 2e-3
 
 
@@ -596,7 +596,7 @@ class KnownPose:
 def pose_at(poses: Sequence[KnownPose], flexion_deg: Array) -> Array:
     """Coordinates between the known poses at flexion angles (n,), shape ``(n, 5)``.
 
-    On straight lines from one to the next, and as in the last one beyond it.
+    Interpolated linearly, and constant beyond the first and the last of them.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What mesh files hold: STL, PLY, OBJ and VTP, with what in them is wrong."""
+"""Readers of STL, PLY, OBJ and VTP files, and the faults that they refuse or remark on."""
 
 import base64
 import binascii
@@ -57,7 +57,7 @@ def read_mesh(file: Path) -> RawMesh:
     try:
         data = _without_mark(file.read_bytes())
         _check_kind(file, data)
-        # Some values that are no number cannot be cast without a warning; they are refused later.
+        # Some values that are not numbers are cast with a warning only; they are refused later.
         with np.errstate(invalid="ignore"):
             return parse(data)
     except MeshError as error:
@@ -69,7 +69,7 @@ def read_mesh(file: Path) -> RawMesh:
         raise InputError(
             file,
             "",
-            f"this is no {file.suffix[1:].upper()} file that can be read "
+            f"this cannot be read as {file.suffix[1:].upper()} "
             f"({type(error).__name__}: {' '.join(str(error).split())[:120]})",
             EXPORT_AGAIN,
         ) from error
@@ -83,7 +83,7 @@ class MeshError(Exception):
         self.why, self.where, self.remedy = why, where, remedy
 
 
-# How text begins that says of itself that it is UTF-8.
+# Byte-order mark of UTF-8 text, and the first bytes of files that may follow it.
 MARK = b"\xef\xbb\xbf"
 BEGINNINGS = (b"solid", b"ply", b"#", b"v ", b"o ", b"g ", b"mtllib", b"<")
 _OBJ_LINE = re.compile(rb"(v|o|g|mtllib|usemtl)[ \t]+[^\s\x00]")
@@ -183,7 +183,7 @@ def _text_stl(data: bytes) -> RawMesh:
     if len(at) != 3 * n or n != ended:
         raise MeshError(
             f"it has {_numbered(len(at), 'corner')} for {_numbered(ended, 'whole facet')}: it is "
-            "cut off, or a facet is no triangle"
+            "cut off, or a facet is not a triangle"
         )
     if not any(x == "endsolid" for x in words):
         raise MeshError(f"it ends after {_numbered(n, 'facet')} without endsolid, as if cut off")

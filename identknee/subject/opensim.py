@@ -84,7 +84,7 @@ def bones_of(model: OsimModel, side: Side | None = None) -> Bones:
             found = [x for x in found if side_in(x) in (side, None)]
         if len(found) != 1:
             of_side = "" if side is None else f"{side} "
-            remedy = f"Give a model of one knee whose {bone} is called so and has a contact mesh."
+            remedy = f"Give a model of one knee whose {bone} has this name and a contact mesh."
             if side is None and len(sides) > 1:
                 remedy = "Choose one with --side left or --side right."
             elif side is not None and sides:
@@ -149,9 +149,9 @@ def _side(model: OsimModel, stated: Side | None, *names: str) -> Side:
 
 
 LIGAMENT_CLASS = "Blankevoort1991Ligament"
-# Versions of OpenSim differ in what a path stands in.
+# Elements that hold a path, by version of OpenSim.
 PATH_POINTS = ".//PathPointSet/objects/*"
-# Children of a force that name its bodies.
+# Elements of a force that name its bodies.
 BODY_TAGS = re.compile(r"socket_\w+|(body|frame)_?[12ab]?", re.IGNORECASE)
 POINT_TO_POINT = "PointToPoint"
 # Ligaments of a knee together are stiffer [kN], and none is so much longer than at rest.
@@ -432,9 +432,9 @@ def _ligament(
         ) from error
 
 
-# No surface of a knee is so large [m].
+# Largest plausible surface of a knee [m].
 LARGEST_M = 1.0
-# Parts of a tibial mesh smaller than this share of it are crumbs.
+# Unconnected parts of a tibial mesh below this share of its area are left out as crumbs.
 CRUMB_SHARE = 0.01
 
 
@@ -659,7 +659,7 @@ def mesh_file(model: OsimModel, mesh: Element, name: str) -> Path:
     )
 
 
-# Axes of a bone that are farther off those wanted [cosine] are other axes.
+# Least cosine of the angle between an axis of a bone and the one that it should be.
 LEAST_COSINE = 0.7
 AXES = np.eye(3)
 WANTED = "Turn the frames of the joint in the model: x anterior, y superior, z to the right."
@@ -736,14 +736,15 @@ def _flexion_axis(bones: Bones) -> Array | None:
 
 
 def _mean_end(ligaments: Sequence[Ligament], *beginnings: str) -> Array | None:
-    """Middle of the ligaments whose names begin so [mm]; None without one."""
+    """Middle of the ligaments with one of these beginnings of names [mm]; None without one."""
     own = [x for x in ligaments if any(_begins(x.name, y) for y in beginnings)]
     return np.mean([(x.femur + x.tibia) / 2.0 for x in own], axis=0) if own else None
 
 
 # A surface in one piece spans both plateaus if it is at least this share as wide as the femur.
 LEAST_WIDTH = 0.6
-# The plateaus are divided within the middle of the surface; each is at least this share of it.
+# The plateaus are divided at the narrowest of SLICES between these shares of the surface's width.
+# Each must have LEAST_SHARE of its area.
 MIDDLE, LEAST_SHARE, SLICES = (0.35, 0.65), 0.2, 31
 
 
@@ -896,7 +897,7 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
         elif ends or _bodies_of(bones, x):
             yield remark(x, "it acts on a bone of this knee, and its class is not read")
         else:
-            yield remark(x, "it acts on no bone of this knee")
+            yield remark(x, "it does not act on a bone of this knee")
 
 
 def _bodies_of(bones: Bones, force: Element) -> set[str]:

@@ -206,13 +206,13 @@ def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(x)) for x in values)
 
 
-# Ends that differ by less [mm] are the same; files round further off.
+# Largest difference of ends that are the same [mm]; files round to more digits.
 SAME_PLACE = 1e-3
-# Centres of bones and frames that are farther apart [mm] are not of one scan.
+# Largest distance of the centres of bones and frames from one scan [mm].
 SAME_BONE = 0.1
-# Numbers that differ by less, relatively, are the same.
+# Largest relative difference of numbers that are the same.
 SAME_NUMBER = 1e-12
-# Axes that differ by more [-] are not of one scan.
+# Largest difference of the components of axes from one scan.
 SAME_AXES = 1e-4
 
 

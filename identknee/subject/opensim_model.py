@@ -14,15 +14,15 @@ from identknee.subject.surface import Surface
 
 Element = ET.Element
 MM_PER_M = 1000.0
-# No length, angle, factor or stiffness of a knee comes near; products of larger ones may overflow.
+# Larger numbers are refused: no quantity of a knee comes near, and their products may overflow.
 LARGEST = 1e9
-# How classes of forces are called.
+# Endings of the names of force classes.
 FORCE_ENDINGS = ("Force", "Spring", "Ligament", "Actuator")
-# Frames in frames, and functions of functions.
+# Largest depth of frames within frames, and of functions of functions.
 DEEPEST = 100
-# What the parser says of a character that cannot stand where it does.
+# Code of the XML parser's error for a character that is not allowed at its place.
 INVALID_TOKEN = 4
-# These joints do not displace anything while their coordinates are zero.
+# Joints whose displacement is zero while their coordinates are zero.
 ZERO_JOINTS = (
     "WeldJoint",
     "PinJoint",

@@ -1,4 +1,4 @@
-"""What the paths of an OpenSim model wrap around, as cylinders and spheres.
+"""Wrap objects of the paths of an OpenSim model, as cylinders and spheres.
 
 Cylinders and spheres are taken as they are. An ellipsoid becomes the cylinder that fits it along
 the path: its axis is across the plane of the shortest way around the ellipsoid, its circle that of
@@ -18,7 +18,8 @@ from identknee.subject.obstacle import Obstacle, circle_through, way_over
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform
 
 Bone = Literal["femur", "tibia"]
-# Of the section of an ellipsoid, and how far its plane is turned to find the shortest way.
+# Corners of a section of an ellipsoid, and the largest turn of its plane in the search for the
+# shortest way.
 N_CORNERS, FARTHEST_TURN = 720, np.radians(80.0)
 # Flexion at which lengths are compared [deg].
 COMPARED_AT = (0.0, 30.0, 60.0)

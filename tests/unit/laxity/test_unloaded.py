@@ -28,6 +28,13 @@ def test_changes_are_counted_from_the_mean_unloaded_pose_of_the_angle() -> None:
     assert relative_to_unloaded(relative) is relative
 
 
+def test_changes_from_the_opposite_trial_have_no_unloaded_pose() -> None:
+    blank = np.full((9, 5), np.nan)
+    laxity = Laxity(protocol=load_protocol("drawer"), coordinates=blank, zero="opposite")
+    with pytest.raises(ValueError, match="give absolute coordinates"):
+        relative_to_unloaded(laxity)
+
+
 def test_the_same_for_arrays_of_any_depth() -> None:
     laxity = example()
     deep = np.repeat(laxity.coordinates[:, :, None], 3, axis=2)

@@ -162,7 +162,7 @@ def test_a_line_between_points_of_other_bodies_is_no_ligament(tmp_path: Path, kn
     one = f'<{kind} name="it">{content.format("talus_r", "pelvis")}</{kind}>'
     path = edited(write_model(tmp_path, knee), _force(one))
     told = listed(path)["it", kind]
-    assert (told.is_line, told.why) == (False, "it acts on no bone of this knee")
+    assert (told.is_line, told.why) == (False, "it does not act on a bone of this knee")
 
 
 def test_contact_that_is_switched_off_is_said(tmp_path: Path, knee: Knee) -> None:
