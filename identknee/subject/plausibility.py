@@ -389,10 +389,10 @@ def plausible_limits(asked: str | Path | Sequence[Limit], default: Limits) -> Li
             )
         return read_limits(asked)
     limits = tuple(asked)
-    others = [x for x in limits if not isinstance(x, Limit)]
-    if others:
+    if not all(isinstance(x, Limit) for x in limits):
+        kind = next(type(x).__name__ for x in limits if type(x) is not Limit)
         raise ValueRefused(
-            f"plausible has a {type(others[0]).__name__} in it",
+            f"plausible has a {kind} in it",
             "give default, none, a file, or a list of Limit",
         )
     return limits
