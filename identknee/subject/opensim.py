@@ -154,10 +154,11 @@ PATH_POINTS = ".//PathPointSet/objects/*"
 # Elements of a force that name its bodies.
 BODY_TAGS = re.compile(r"socket_\w+|(body|frame)_?[12ab]?", re.IGNORECASE)
 POINT_TO_POINT = "PointToPoint"
-# Ligaments of a knee together are stiffer [kN], and none is so much longer than at rest.
+# Least stiffness of all ligaments together [kN], and least distance of the ends of one as a share of
+# its slack length.
 LEAST_STIFFNESS, SHORTEST = 0.5, 0.5
 TRANSITION_STRAIN = 0.06
-# How the bundles of the four single lines begin; the first beginning that occurs is taken, so that
+# Beginnings of the bundles that make one line of each ligament; the first beginning that occurs is taken, so that
 # the deep and posterior bundles of the medial collateral ligament stay out of its line.
 MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
 
@@ -167,7 +168,7 @@ Change = Literal["left out", "changed"]
 
 @declared
 class NotTaken:
-    """What of a model has no place in the knee, or stands in it in another way."""
+    """Elements of a model that the knee leaves out or changes."""
 
     kind: str = entry("Class of it in the model")
     names: tuple[str, ...] = entry("Names there")

@@ -105,7 +105,9 @@ class OsimModel:
             ) from error
         found = root.find("Model")
         if root.tag != "OpenSimDocument" or found is None:
-            raise self.refusal("", "this is no OpenSim model", "Give the .osim file of a model.")
+            raise self.refusal(
+                "", "this is not an OpenSim model", "Give the .osim file of a model."
+            )
         if not root.get("Version", "").startswith("4"):
             raise self.refusal(
                 "",
@@ -319,9 +321,9 @@ class OsimModel:
         )
 
 
-# A character that begins something in XML, and how it is written as itself.
+# Characters that begin markup in XML, and how they are written in text.
 WRITTEN = {"&": "&amp;", "<": "&lt;"}
-# How bytes that are no UTF-8 are decoded, and code points that XML has no place for.
+# Code points to which bytes that are not UTF-8 are decoded, and those that XML does not allow.
 BYTES, NO_CHARACTERS = range(0xDC80, 0xDD00), (0xFFFE, 0xFFFF)
 
 

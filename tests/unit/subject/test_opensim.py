@@ -88,7 +88,7 @@ def _second_femur(text: str) -> str:
     ("edit", "said"),
     [
         (lambda x: x.replace("</Model>", ""), "not valid XML"),
-        (lambda x: x.replace("OpenSimDocument", "Document"), "this is no OpenSim model"),
+        (lambda x: x.replace("OpenSimDocument", "Document"), "this is not an OpenSim model"),
         (lambda x: x.replace('"40000"', '"30000"'), "not of OpenSim 4"),
         (lambda x: x.replace(">m<", ">mm<"), "lengths are in mm"),
         (lambda x: x.replace("/bodyset/femur_r</socket_frame>", "/bodyset/hip</socket_frame>"),
