@@ -154,12 +154,12 @@ PATH_POINTS = ".//PathPointSet/objects/*"
 # Elements of a force that name its bodies.
 BODY_TAGS = re.compile(r"socket_\w+|(body|frame)_?[12ab]?", re.IGNORECASE)
 POINT_TO_POINT = "PointToPoint"
-# Least stiffness of all ligaments together [kN], and least distance of the ends of one as a share of
-# its slack length.
+# Least stiffness of all ligaments together [kN], and least distance of a ligament's ends as a share
+# of its slack length.
 LEAST_STIFFNESS, SHORTEST = 0.5, 0.5
 TRANSITION_STRAIN = 0.06
-# Beginnings of the bundles that make one line of each ligament; the first beginning that occurs is taken, so that
-# the deep and posterior bundles of the medial collateral ligament stay out of its line.
+# Beginnings of the names of bundles that make one line of each ligament. The first that occurs is
+# taken, so that the deep and posterior bundles of the medial collateral stay out of its line.
 MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
 
 
