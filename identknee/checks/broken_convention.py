@@ -19,7 +19,14 @@ from identknee.checks.table_checks import (
 )
 from identknee.checks.usable_trials import STRETCHES, TrialSearch, held_everywhere
 from identknee.laxity.experiments import Cut, cuts_of, state_words
-from identknee.laxity.protocol import ABSOLUTE, FLEXION, LOADS, Protocol, unloaded_trials
+from identknee.laxity.protocol import (
+    ABSOLUTE,
+    FLEXION,
+    LOADS,
+    UNLOADED,
+    Protocol,
+    unloaded_trials,
+)
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, root_mean
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
 from identknee.model.effects.effect import Effect
@@ -206,12 +213,12 @@ def _of_translations() -> Iterator[Convention]:
 
 
 def _zeros(laxity: Laxity) -> Iterator[Convention]:
-    if laxity.zero == "unloaded":
+    if laxity.zero == UNLOADED:
         yield Convention(
-            what="taking coordinates for absolute ones (without zero: unloaded)", zero="absolute"
+            what="taking coordinates for absolute ones (without zero: unloaded)", zero=ABSOLUTE
         )
         return
-    if laxity.zero != "absolute":
+    if laxity.zero != ABSOLUTE:
         return
     unloaded = laxity.coordinates[laxity.protocol.is_unloaded]
     known = np.abs(unloaded[~np.isnan(unloaded)])
@@ -223,7 +230,7 @@ def _zeros(laxity: Laxity) -> Iterator[Convention]:
         return
     yield Convention(
         what="counting coordinates from the unloaded pose of each flexion angle (zero: unloaded)",
-        zero="unloaded",
+        zero=UNLOADED,
     )
 
 

@@ -25,7 +25,7 @@ from identknee.diagnosis.score import (
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.effect import OF, PLAIN, Effect, unit_of
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import BONES, InsertionShift, moved_insertion
+from identknee.model.effects.insertion import InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.model.effects.tissues import LigamentBundles
@@ -34,6 +34,7 @@ from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import declared, entries, entry
+from identknee.subject.knee import BONES
 
 # Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.
 STRAINS = (-4.0, 0.0, 4.0, 8.0)

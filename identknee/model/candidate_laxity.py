@@ -8,7 +8,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from identknee.laxity.experiments import cuts_of
+from identknee.laxity.experiments import INTACT, cuts_of
 from identknee.laxity.protocol import (
     FLEXION_DEG,
     LOADS,
@@ -35,19 +35,19 @@ from identknee.model.parameters import FreeParameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, array, declared, entry
 
-SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, one after the other
+SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, in turn
 
 
 def continued_from_own_poses(model: LaxityModel, theta: Array) -> LaxityModel:
-    """The model started from its own equilibria at theta, continued under increasing loads.
+    """The model with its own equilibria at theta as the poses from which searches begin.
 
-    Equilibria are followed from the poses of the model under a growing share of the loads. A trial
-    that has no equilibrium under some share goes on from where it was.
+    Equilibria are followed from the poses of the model under a growing share of the loads. If a
+    trial has no equilibrium under one share, the next begins at its last pose.
 
     Parameters
     ----------
     model
-        A model with poses; one whose paths begin in the scanned pose is given back as it is.
+        A model with poses. A model whose paths begin in the scanned pose is returned unchanged.
     theta
         Its parameters, shape ``(p,)``.
     """
@@ -106,17 +106,17 @@ class CandidateLaxity:
         return self.protocol.trials
 
     def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
-        """What the chosen trials would measure at `theta`, and its derivatives by theta.
+        """Predicted coordinates of the chosen trials at `theta`, and their derivatives by theta.
 
-        In units of the errors, with their correlation taken out: shapes ``(k, m)`` and ``(k, m,
-        n)`` for m measured coordinates; NaN in all of a trial that did not converge or in which
-        contact acts within 3 mm of a rim, or whose unloaded pose is such a one where coordinates
-        are counted from it. A trial may come twice.
+        They are whitened by the errors, with shapes ``(k, m)`` and ``(k, m, n)`` for m measured
+        coordinates. NaN for a trial that did not converge or with contact within 3 mm of a rim;
+        also if that holds for the unloaded trial from which its coordinates are counted. A trial
+        may be chosen twice.
         """
         once, back = np.unique(np.asarray(chosen, int), return_inverse=True)
         some = replace(self, protocol=self.protocol.select(once))
         found = self.model.with_protocol(some.trials).predict(self.free.expand(theta))
-        # A trial that presses near a rim is not worth making: there are others to choose from.
+        # Contact near a rim is uncertain, and other trials can be chosen instead.
         lost = (found.rim_share > 0.0)[:, None, None]
         coordinates = np.where(lost, np.nan, found.coordinates[:, :, None])
         slopes = np.where(lost, np.nan, self.free.restrict(found.slopes))
@@ -129,10 +129,10 @@ class CandidateLaxity:
         return with_unloaded(self.protocol) if is_counted else self.protocol
 
     def with_start_poses(self, theta: Array) -> "CandidateLaxity":
-        """The same candidates; unmeasured ones start at the poses predicted at `theta`.
+        """The same candidates, with searches of new trials begun at poses predicted at `theta`.
 
-        These are followed under growing loads from between the poses of the data. `theta` is that
-        of `predict`.
+        These poses are followed under growing loads from poses interpolated between those of the
+        data. `theta` is that of `predict`.
         """
         model = self.model.with_protocol(self.trials)
         if model.poses is None:
@@ -154,7 +154,7 @@ class CandidateLaxity:
 def offered_laxity(model: LaxityModel, made: Protocol) -> Protocol:
     """Candidate trials: `candidate_trials` at the flexion angles of the model.
 
-    Where it begins at poses, these are the angles among or close to those of the trials made.
+    If the model begins at measured poses, angles far from those of the trials made are left out.
     """
     if model.poses is None:
         return candidate_trials(made)
@@ -209,16 +209,15 @@ def with_unloaded(protocol: Protocol) -> Protocol:
     return concatenate([protocol, added], name=protocol.name)
 
 
-# Standard deviations of a force found by superposition and of a film's reading [N]. A replayed pose
-# is good to some hundredths of a millimetre, and films to about a tenth of some hundred newtons:
-# both are estimates.
+# Standard deviations of a force by superposition and by pressure film [N], estimates: poses are
+# replayed to some hundredths of a millimetre, and films err by a tenth of some hundred newtons.
 TENSION_SD, CONTACT_SD = 5.0, 20.0
 N_VALUES = 2
 
 
 def current_state(protocol: Protocol) -> str:
-    """The state with the most cuts, in which the knee is left: a cut is final."""
-    states = protocol.state or ("intact",)
+    """The state with the most cuts, which is the last one, because cuts are final."""
+    states = protocol.state or (INTACT,)
     return max(reversed(states), key=lambda x: len(cuts_of(x)))
 
 
@@ -228,7 +227,9 @@ def with_state(protocol: Protocol, state: str) -> Protocol:
 
 
 def strongest_trials(protocol: Protocol, held: Sequence[float] = (0.0,) * len(LOADS)) -> Protocol:
-    """Of the trials with one load beside those held, the largest each way at each flexion angle.
+    """Trials with the largest single load in each direction at each flexion angle.
+
+    Loads `held` in all trials do not count.
 
     Examples
     --------
@@ -263,9 +264,9 @@ class LaxityAfterCut:
 
 
 def trials_made_again(offered: CandidateLaxity) -> Protocol:
-    """The strongest of the trials that were made; of all offered where none of these has one load.
+    """The strongest of the trials that were made, as offered at their nominal angles and loads.
 
-    A trial that was made is offered as it was meant, at the same nominal angle and load.
+    If none of those has a single load, the strongest of all trials offered.
     """
     made, trials = offered.laxity.protocol, offered.protocol
     flexion, dominant = np.round(nominal_flexion(made)), dominant_loads(made)
@@ -279,7 +280,7 @@ def trials_made_again(offered: CandidateLaxity) -> Protocol:
 
 
 def laxity_after_cuts(offered: CandidateLaxity, state: str) -> tuple[LaxityAfterCut, ...]:
-    """The strongest trials made, once more after each cut that may follow."""
+    """The strongest trials made, repeated after each possible next cut."""
     trials = trials_made_again(offered)
     left = structures_left(offered.model, state)
     found = []
@@ -321,8 +322,7 @@ class CandidateForces:
     def predict(self, theta: Array, chosen: Sequence[int]) -> tuple[Array, Array]:
         """The forces in units of their errors and their derivatives, ``(k, 2)``, ``(k, 2, n)``.
 
-        A tension has one value; the second is 0 whatever the parameters. NaN in a trial without
-        equilibrium.
+        The second value of a tension is always 0. NaN in a trial without equilibrium.
         """
         found = self.model.predict(self.free.expand(theta))
         trials = range(self.model.protocol.n)
@@ -344,14 +344,14 @@ class CandidateForces:
         return values.reshape(-1, N_VALUES)[k], jacobians.reshape(-1, *jacobians.shape[2:])[k]
 
     def with_start_poses(self, theta: Array) -> "CandidateForces":
-        """The same, its trials followed from the poses that the model has at `theta`."""
+        """The same forces, with equilibria followed from the poses of the model at `theta`."""
         return replace(self, model=continued_from_own_poses(self.model, self.free.expand(theta)))
 
 
 def candidate_forces(
     offered: CandidateLaxity, state: str, *, has_tensions: bool, has_contact: bool
 ) -> CandidateForces:
-    """Forces in the strongest trials made, once more, of the structures that are left."""
+    """Forces of the remaining structures in the strongest trials made, repeated in `state`."""
     trials = with_state(trials_made_again(offered), state)
     return CandidateForces(
         model=offered.model.with_protocol(trials),

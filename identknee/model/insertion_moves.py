@@ -12,19 +12,18 @@ from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
 from identknee.runs.executors import Executor, serial
-from identknee.subject.knee import Knee
+from identknee.subject.knee import BONES, Knee
 
-BONES = ("femur", "tibia")
-# Of each axis of a bone's frame, its negative and its positive direction.
+# Names of the negative and the positive direction along each axis of a bone's frame.
 DIRECTIONS = (("posteriorly", "anteriorly"), ("distally", "proximally"), ("medially", "laterally"))
-# mm; how far segmentation may place an insertion from where it is.
+# Default distance by which insertions may move, an error of segmentation [mm].
 WITHIN = 3.0
-# Of the distance allowed: steps of the search for a knee that settles; the others only where none
-# of the first gains.
+# Steps of the search as shares of that distance; the later ones are tried only if none of the first
+# gains.
 STEPS = (1.0 / 3.0, 2.0 / 3.0, 1.0 / 6.0)
 MOST_ROUNDS = 40
-# N/mm; below it a small change may end a branch, and a warm and a cold start may differ by more
-# than 1e-9.
+# Stability margin below which a small change may end a branch, and equilibria found from other
+# starts may differ by more than 1e-9 [N/mm].
 ENOUGH_MARGIN = 0.5
 
 Score = tuple[int, float, float]
@@ -45,7 +44,7 @@ class InsertionMove:
 
     @property
     def words(self) -> str:
-        """Where to, as in a sentence."""
+        """The move in words, such as ``ACL on the femur 3 mm anteriorly``."""
         return f"{self.ligament} on the {self.bone} {self.distance_mm:g} mm {self.direction}"
 
 
@@ -62,7 +61,7 @@ class MovedInsertion:
 
     @property
     def words(self) -> str:
-        """Where to, as in ``ACL on the femur moved 5.0 mm (5.0 mm anteriorly)``."""
+        """The move in words, such as ``ACL on the femur moved 5.0 mm (5.0 mm anteriorly)``."""
         parts = [
             f"{abs(x):.1f} mm {names[int(x > 0.0)]}"
             for x, names in zip(self.shift_mm, DIRECTIONS, strict=True)
@@ -74,7 +73,7 @@ class MovedInsertion:
 
 @declared
 class SettledKnee:
-    """A knee with insertions moved until its trials converge, or no move helps."""
+    """A knee with insertions moved until its trials converge or no move helps."""
 
     knee: Knee = entry("The subject with the insertions moved")
     moved: tuple[MovedInsertion, ...] = entry("The insertions that moved")
@@ -87,9 +86,10 @@ class SettledKnee:
 def rank_moves(
     model: LaxityModel, *, within_mm: float = WITHIN, executor: Executor = serial
 ) -> tuple[InsertionMove, ...]:
-    """Every insertion moved so far in each direction, the one that restores most trials first.
+    """All moves of one insertion by `within_mm` along an axis, the most effective first.
 
-    Moves that restore as many are ranked by how much of their load the lost trials reach.
+    They are ranked by the number of trials that they restore, then by the share of the load that
+    the lost trials reach.
 
     Raises
     ------
@@ -110,8 +110,8 @@ def settle(
 ) -> SettledKnee:
     """The knee with insertions moved, step by step, until all trials converge with a margin.
 
-    Each step is the one that restores most; insertions without which it works as well go back.
-    Where the steps end short of that, it is the best knee met.
+    Each step is the one that restores most. At the end insertions that need not have moved are put
+    back. If no step helps before all trials converge, the result is the best knee found.
 
     Raises
     ------
@@ -195,7 +195,7 @@ class _Search:
         )
 
     def better(self, shifts: Array, score: Score) -> tuple[Array, Score] | None:
-        """The shifts after the step that gains most; None where none gains."""
+        """The shifts after the most effective step; None if no step gains."""
         for size in STEPS:
             tried = [shifts + step for step in self.steps(size * self._within)]
             farthest = self._within * (1.0 + 1e-9)
@@ -210,7 +210,7 @@ class _Search:
         return score[0] == self._model.protocol.n and score[2] >= ENOUGH_MARGIN
 
     def scores(self, shifts: Sequence[Array]) -> list[Score]:
-        """Trials that converge, the load that the others reach, the lowest margin."""
+        """Number of converged trials, summed share of load of the others, and lowest margin."""
         scores = []
         for found in self._executor.map(partial(_predict, self._model), shifts):
             converged = found.is_converged

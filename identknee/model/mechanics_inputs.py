@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identknee.laxity.protocol import Protocol
+from identknee.laxity.protocol import ABSOLUTE, Protocol
 from identknee.laxity.table import Laxity
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments
@@ -276,24 +276,24 @@ def repeated(setting: MechanicsInputs, n: int) -> MechanicsInputs:
     )
 
 
-# Trials within so many degrees of flexion of each other have one pose between them.
+# Interval of flexion [deg] over which the poses of trials are averaged.
 POSE_EVERY_DEG = 15.0
-# Above the next longest length of a ligament no single trial stretches it so far.
+# Share by which the longest length of a ligament exceeds the next one if its pose is a blunder.
 BLUNDER = 0.2
 
 
 def measured_poses(laxity: Laxity) -> Array | None:
     """The measured pose of each trial, from which its equilibrium is sought, ``(n, 5)``.
 
-    None where the trials have nominal angles (most share one, or all are whole degrees), where the
-    coordinates count from an unloaded pose, or where one was never measured. A cell not measured
-    has the value of the trial nearest in flexion.
+    None if the trials have nominal angles (most share one, or all are whole degrees), if the
+    coordinates are not absolute, or if one was never measured. A blank cell is filled with the
+    value of the trial nearest in flexion.
     """
     angles, measured = laxity.protocol.flexion_deg, laxity.is_measured
     is_nominal = 2 * len(np.unique(angles)) <= laxity.n or not np.any(angles % 1.0)
-    if is_nominal or laxity.zero != "absolute" or not measured.any(axis=0).all():
+    if is_nominal or laxity.zero != ABSOLUTE or not measured.any(axis=0).all():
         return None
-    # Its own cell comes first, also before that of another reading at the same angle.
+    # A measured cell keeps its own value, even if another trial has the same angle.
     nearest = np.repeat(np.arange(laxity.n)[:, None], measured.shape[1], axis=1)
     for column, known in zip(nearest.T, measured.T, strict=True):
         others = np.flatnonzero(known)
@@ -303,24 +303,25 @@ def measured_poses(laxity: Laxity) -> Array | None:
 
 
 def fallback_poses(knee: Knee, laxity: Laxity) -> Array | None:
-    """The measured pose of each trial where the knee states errors, shape ``(n, 5)``; NaN unknown.
+    """The measured pose of each trial if the knee states errors, ``(n, 5)``; NaN where unknown.
 
-    None where the knee is taken as exact, so that the path of a load is part of the model, or where
-    the coordinates count from an unloaded pose.
+    None if the knee is taken as exact, so that the load path belongs to the model, or if the
+    coordinates are not absolute.
     """
-    if knee.uncertainty.is_exact or laxity.zero != "absolute":
+    if knee.uncertainty.is_exact or laxity.zero != ABSOLUTE:
         return None
     return pose_from_coordinates(laxity.coordinates)
 
 
 def holding_poses(scanned: Array, laxity: Laxity) -> Array:
-    """A pose of each trial near the measured one, shape ``(n, 5)``, whatever was measured.
+    """A complete pose of each trial, near the measured one, shape ``(n, 5)``.
 
-    A coordinate not measured, or counted from another pose, has the value of the trial nearest in
-    flexion that has one, else that of the scanned pose.
+    A coordinate that was not measured is taken from the trial nearest in flexion, or from the
+    scanned pose if no trial has it. All are those of the scanned pose if coordinates are not
+    absolute.
     """
     coordinates = np.tile(coordinates_from_pose(scanned), (laxity.n, 1))
-    if laxity.zero == "absolute":
+    if laxity.zero == ABSOLUTE:
         angles, measured = laxity.protocol.flexion_deg, laxity.is_measured
         apart = np.abs(angles[:, None] - angles) - np.eye(laxity.n)
         for j in np.flatnonzero(measured.any(axis=0)).tolist():
@@ -332,7 +333,7 @@ def holding_poses(scanned: Array, laxity: Laxity) -> Array:
 def known_poses(knee: Knee, protocol: Protocol) -> Array | None:
     """Stated pose of each trial, shape ``(n, 5)``; None if the knee states none.
 
-    No load is looked at: it is the pose in the middle of what the loads do at that flexion angle.
+    It does not depend on the load: stated poses are means over the loads at a flexion angle.
     """
     if not knee.poses:
         return None
@@ -361,9 +362,8 @@ def poses_of(protocol: Protocol, coordinates: Array) -> tuple[KnownPose, ...]:
 def poses_between(made: Protocol, poses: Array | None, asked: Protocol) -> Array | None:
     """Start poses of trials interpolated from measured poses ``(n, 5)``, ``(k, 5)``.
 
-    None where those begin at none. A trial that was made begins where it did, another in the
-    middle of what the loads do at its flexion angle, on straight lines between the angles of those
-    made.
+    None if there are no measured poses. A trial that was made keeps its pose. Another one begins at
+    the mean pose over all loads, interpolated linearly over flexion.
     """
     if poses is None:
         return None
@@ -382,7 +382,7 @@ def poses_of_measured_trials(made: Protocol, poses: Array | None, asked: Protoco
 
 
 def _keys(protocol: Protocol) -> list[tuple[str, float, bytes]]:
-    """What makes each trial the same as another one: name, flexion and loads."""
+    """Keys that are equal for the same trial in two protocols: name, flexion and loads."""
     rows = zip(protocol.trials, protocol.flexion_deg.tolist(), protocol.loads, strict=True)
     return [(name, angle, loads.tobytes()) for name, angle, loads in rows]
 
@@ -393,7 +393,7 @@ def strains_as_measured(setting: MechanicsInputs, stretch: float) -> Array:
     Parameters
     ----------
     setting
-        With measured poses.
+        Inputs with measured poses.
     stretch
         Strain of each line at the longest of its measured lengths; at the longest but one where
         a single pose would stretch it by a fifth more than all others, as a blunder does.
