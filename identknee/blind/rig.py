@@ -14,7 +14,7 @@ from identknee.runs.arrays import Array
 SHANK_MM = 180.0
 VARUS_MOMENT, INTERNAL_MOMENT, ANTERIOR, DISTRACTION, LATERAL = range(5)
 VARUS_READING, INTERNAL_READING = 3, 4
-# Share of a reading's amplitude that goes with varus, whose range is smaller.
+# Amplitude of an effect in varus over that in internal rotation, whose range is larger.
 VARUS_SHARE = 0.4
 WIDTHS = {"IE_deg": 1.0, "VV_deg": VARUS_SHARE}
 FULL_MOMENT_NM = 10.0
@@ -50,11 +50,11 @@ def shank_gravity(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def muscle_tension(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Three muscles pull with forces of fixed size; the amplitude is the length of all three.
+    """Three muscles pull with constant forces; the amplitude is the norm of the three forces.
 
     The hamstrings draw the back of the tibia towards the hip, in a direction fixed to the femur.
-    The tendon of the quadriceps leans forward, less so with flexion. The gastrocnemius acts along
-    the tibia, through the heads of the femur.
+    The patellar tendon leans forward, less so with flexion. The gastrocnemius acts along the tibia,
+    from the femoral condyles.
     """
     way = np.abs(_unit(generator, 3))
     lean, back, heel = generator.normal([20.0, 0.0, 3.0], [3.0, 3.0, 1.5])
@@ -91,7 +91,7 @@ def muscle_tension(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def constant_pull(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """A cable pulls the shank to one side, beside its axis: no weight and no muscle does so."""
+    """A cable pulls the shank to one side, off its axis, as neither weight nor muscle does."""
     across = float(generator.choice([-1.0, 1.0]) * generator.uniform(0.6, 0.95))
     angle = float(generator.uniform(0.0, 2.0 * np.pi))
     rest = np.sqrt(1.0 - across**2)
@@ -149,7 +149,7 @@ def moment_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def axis_misalignment(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Either moment also turns the tibia about the other's axis; the amplitude is their total."""
+    """Each moment also acts about the other axis; the amplitude is the norm of both angles."""
     way = _unit(generator, 2)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -190,7 +190,7 @@ def parasitic_shear(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def femur_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """The rig takes the femur's frame for turned about its anterior and superior axis."""
+    """The rig's femoral frame is turned about the anterior and the superior axis."""
     way = np.r_[_unit(generator, 2), 0.0]
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -200,7 +200,7 @@ def femur_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def tibia_frame(_scene: Scene, generator: np.random.Generator) -> Hidden:
-    """The rig takes the tibia's frame for turned about any axis."""
+    """The rig's tibial frame is turned about a random axis."""
     way = _unit(generator, 3)
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -221,7 +221,7 @@ def flexion_offset(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def rig_compliance(axis: str) -> Draw:
-    """Draw of a rig that yields and adds its own rotation, ``"IE"`` or ``"VV"``."""
+    """Draw of a rig that yields and so adds its own rotation, about ``"IE"`` or ``"VV"``."""
     column, reading = (0, INTERNAL_READING) if axis == "IE" else (1, VARUS_READING)
 
     def draw(scene: Scene, _generator: np.random.Generator) -> Hidden:
@@ -236,9 +236,9 @@ def rig_compliance(axis: str) -> Draw:
 
 
 def hysteresis(scene: Scene, _generator: np.random.Generator) -> Hidden:
-    """Readings lag behind the load: less while it grows, more while it comes down.
+    """Readings lag behind the load: smaller rotations during loading, larger during unloading.
 
-    The amplitude is the width of the internal loop; the varus loop is 0.4 times as wide.
+    The amplitude is the width of the loop of internal rotation; that of varus is 0.4 times as wide.
     """
     lag = np.sign(scene.load_Nm) * np.where(scene.is_unloading, 0.5, -0.5)[:, None]
     shape = _at(INTERNAL_READING, lag[:, 0]) + VARUS_SHARE * _at(VARUS_READING, lag[:, 1])
@@ -248,7 +248,8 @@ def hysteresis(scene: Scene, _generator: np.random.Generator) -> Hidden:
 def creep(scene: Scene, _generator: np.random.Generator) -> Hidden:
     """The rotation under load grows with the logarithm of the number of trials made.
 
-    The amplitude belongs to internal rotation at 10 N·m for each e-fold; varus has 0.4 times it.
+    The amplitude is the growth of internal rotation at 10 N·m for each e-fold of trials; that of
+    varus is 0.4 times as large.
     """
     grown = np.log(scene.order)[:, None] * scene.load_Nm / FULL_MOMENT_NM
     shape = _at(INTERNAL_READING, grown[:, 0]) + VARUS_SHARE * _at(VARUS_READING, grown[:, 1])

@@ -24,7 +24,7 @@ from identknee.runs.arrays import Array
 
 # Slack strain of a structure [%].
 STRAIN_PCT, STRAIN_JITTER_PCT = 3.0, 2.0
-# The middle of a condyle over its plateau [mm].
+# Height of the centre of a condyle over its plateau [mm].
 CONDYLE_MM = 20.0
 N_MM_PER_N_M_DEG = 1000.0 * 180.0 / np.pi
 
@@ -118,9 +118,10 @@ def posterior_capsule(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def bundles(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Every ligament but the medial collateral is two bundles with different strain and place.
+    """Every ligament but the medial collateral is two bundles that differ in strain and insertion.
 
-    A percent of strain spread goes with 0.5 mm of distance of the insertions from the middle.
+    The strains of the two are the ligament's plus and minus the amplitude [%]. Their insertions lie
+    0.5 mm for each percent to either side of the ligament's, in random directions.
     """
     split = (scene.places.front, scene.places.rear, scene.places.lateral)
     vectors = generator.normal(size=(*((len(split), 2)), 3))
@@ -167,7 +168,7 @@ def mcl_wrapping(scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Each condyle is held across its plateau, at rest in the scanned pose."""
+    """Springs hold each condyle along and across its plateau, at rest in the scanned pose."""
     R, t = scene.start
     up = np.array([0.0, CONDYLE_MM * scene.places.scale, 0.0])
     middles = scene.places.plateaus[:, 1] + up
@@ -183,16 +184,16 @@ def meniscus(scene: Scene, generator: np.random.Generator) -> Hidden:
     )
 
 
-# Points that stand for both menisci, how high those may be [mm], how much of the half-axes of a
-# plateau they leave free, and where they are open towards the other plateau, in half-axes.
+# Number of pads of both menisci and their largest height [mm]. In half-axes of a plateau: the range
+# of the ellipse that they leave free, and the half-width of their opening to the other plateau.
 N_PADS, HIGHEST_PAD_MM, FREE, OPEN = 300, 7.0, (0.45, 0.65), 0.5
 
 
 def meniscal_wedge(scene: Scene, generator: np.random.Generator) -> Hidden:
     """Elastic pads around each plateau fill its gap to the femur in the scanned pose.
 
-    Their places are drawn from an ellipse on each plateau, and all are a little higher or lower
-    than the gaps.
+    They lie at random points outside an ellipse on each plateau, and all are higher or lower than
+    the gaps by one offset.
     """
     R, t = scene.start
     low, high = scene.places.plateaus[:, 0], scene.places.plateaus[:, 2]
@@ -251,7 +252,7 @@ def cartilage(_scene: Scene, generator: np.random.Generator) -> Hidden:
 
 
 def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
-    """Every insertion lies elsewhere; the amplitude is the root mean square a coordinate."""
+    """Every insertion is shifted; the amplitude is the root mean square of the coordinates."""
     n = scene.n_lines
     shifts = generator.normal(size=(n, 6))
     shifts /= np.sqrt((shifts**2).mean())
@@ -277,7 +278,7 @@ def insertion(scene: Scene, generator: np.random.Generator) -> Hidden:
 def _line_effect(
     name: str, scene: Scene, ends: Sequence[Array], strain_pct: float, sizes_kN: tuple[float, float]
 ) -> Hidden:
-    """Effect of one line more; its amplitude is the stiffness."""
+    """Effect of one added line; its amplitude is the stiffness."""
     femur, tibia = ends
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
@@ -300,7 +301,7 @@ def _strands_effect(
     strains_pct: Array,
     sizes_kN: tuple[float, float],
 ) -> Hidden:
-    """Effect of several lines that share a stiffness, no one line of action between them."""
+    """Effect of several lines that share a stiffness and have no common line of action."""
 
     def apply(experiment: Experiment, amplitude: float) -> Experiment:
         rows = [
@@ -315,7 +316,7 @@ def _strands_effect(
 def _around(
     scene: Scene, femoral_angle: float, tibial_angle: float, generator: np.random.Generator
 ) -> tuple[Array, Array]:
-    """A place on either bone [mm] at an angle [rad] about the long axis, zero in front."""
+    """A point on each bone [mm] at an angle [rad] about the long axis, zero in front."""
     places = scene.places
     low, high = places.plateaus[:, 0].min(axis=0), places.plateaus[:, 2].max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low) + 2.0

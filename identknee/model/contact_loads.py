@@ -32,14 +32,14 @@ class CompartmentLoads:
     """
 
     touching: ContactPlaces = entry("The points that touch")
-    n_poses: int = entry("How many poses there are", unit="1")
-    n_surfaces: int = entry("How many tibial surfaces", unit="1")
-    surface: IntArray = entry("Which surface each point belongs to, shape ``(k,)``")
-    places: Array = array("Where the points are on the tibia", "point", "axis", unit="mm")
-    areas: Array = array("Their tributary areas", "point", unit="mm2")
-    force: Array = array("Force of each", "point", unit="N")
+    n_poses: int = entry("Number of poses", unit="1")
+    n_surfaces: int = entry("Number of tibial surfaces", unit="1")
+    surface: IntArray = entry("Index of the surface of each point, shape ``(k,)``")
+    places: Array = array("Positions of the points on the tibia", "point", "axis", unit="mm")
+    areas: Array = array("Tributary areas of the points", "point", unit="mm2")
+    force: Array = array("Force of each point", "point", unit="N")
     by_motion: Array = array(
-        "Its derivative by the place of the point in the axes of the femur's distance",
+        "Derivative of the force by the position of the point in the axes of the distance field",
         *("point", "axis"),
         unit="N/mm",
     )
@@ -53,14 +53,15 @@ class CompartmentLoads:
         return np.concatenate([total[..., None], centres], axis=2)
 
     def derivatives(self, motion: Array, strengthening: Array | float = 0.0) -> Array:
-        """Derivatives of `values` by a numbers, shape ``(n, c, 4, a)``.
+        """Derivatives of `values` by ``a`` variables, shape ``(n, c, 4, a)``.
 
         Parameters
         ----------
         motion
-            Those of the places of the points in the axes of the femur's distance, ``(k, 3, a)``.
+            Derivatives of the positions of the points in the axes of the distance field, shape
+            ``(k, 3, a)``.
         strengthening
-            Those of the forces where no point moves, shape ``(k, a)``.
+            Derivatives of the forces at fixed positions, shape ``(k, a)``.
         """
         changes = np.einsum("ki,kia->ka", self.by_motion, motion) + strengthening
         values = self.values
@@ -71,12 +72,12 @@ class CompartmentLoads:
         return np.concatenate([self._summed(changes)[:, :, None], centres], axis=2)
 
     def force_under(self, law: ContactLaw) -> Array:
-        """Force of each point under another contact law, as deep as it is [N], shape ``(k,)``."""
+        """Force of each point by another contact law at the same depth [N], shape ``(k,)``."""
         return np.asarray(self.areas * law.pressure(self.touching.depth)[0] * self.size)
 
     @property
     def size(self) -> Array:
-        """Of the slope of the distance, along which a point pushes: nearly 1, shape ``(k,)``."""
+        """Norm of the gradient of the distance at each point, nearly 1, shape ``(k,)``."""
         return np.asarray(np.linalg.norm(self.touching.outward, axis=1))
 
     @property

@@ -27,15 +27,15 @@ class ForceResiduals:
     model
         The model under the protocol of the data.
     forces
-        What was measured.
+        The measured forces.
     is_everywhere
-        Whether a trial without equilibrium leaves its forces out, as in a search that begins
-        anywhere; all residuals are infinite otherwise.
+        Whether forces of trials without equilibrium are left out, as in a search that begins
+        anywhere; otherwise their residuals are infinite.
 
     Raises
     ------
     ValueError
-        If the model lacks a structure of which the force was measured, or it is cut in that trial.
+        If the model lacks a structure whose force was measured, or it is cut in that trial.
     """
 
     model: LaxityModel
@@ -66,12 +66,12 @@ class ForceResiduals:
 
     @property
     def n(self) -> int:
-        """How many forces were measured."""
+        """Number of measured forces."""
         return int(self.forces.is_measured.sum())
 
     @property
     def trials(self) -> IntArray:
-        """The trial of each, shape ``(n,)``."""
+        """Index of the trial of each force, shape ``(n,)``."""
         return np.nonzero(self.forces.is_measured)[0]
 
     def predicted(self, theta: Array) -> Array:

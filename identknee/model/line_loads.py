@@ -39,8 +39,8 @@ class LineLoads:
 def line_loads(model: LaxityModel, prediction: Prediction) -> LineLoads:
     """Tensions and strains of all lines in a prediction, effects included, with derivatives.
 
-    A parameter changes both directly and by moving the tibia. Their changes at a fixed pose are in
-    closed form; those by amplitudes of effects and nuisances are differences of that.
+    A parameter changes them directly and by moving the tibia. Derivatives at a fixed pose are in
+    closed form; those by amplitudes of effects and nuisances are differences of closed forms.
 
     Raises
     ------
@@ -87,29 +87,29 @@ def _tensions_and_strains(lines: LineLigaments, *at: Array) -> Array:
 
 @declared
 class Structures:
-    """What the lines of a model are parts of, at one theta."""
+    """The structures that the lines of a model belong to, at one theta."""
 
     names: tuple[str, ...] = entry(
         "Names of all ligaments, then of the groups and of the structures that effects add"
     )
-    member: Array = array("Which line is part of which, 1 or 0", "line", "structure")
+    member: Array = array("1 where a line is part of a structure, else 0", "line", "structure")
     weight: Array = array(
-        "Share of each line in the stiffness of the structure, also where that is zero",
+        "Share of each line in the stiffness of the structure, defined also where that is zero",
         *("line", "structure"),
     )
     stiffness: Array = array("Stiffness of each structure", "structure", unit="N")
 
 
 def structure_names(model: LaxityModel) -> tuple[str, ...]:
-    """Names of all that has a tension: ligaments, groups, structures that effects add."""
+    """Names of all structures with a tension: ligaments, groups and those that effects add."""
     return structures(model, model.parameters.start).names
 
 
 def structures(model: LaxityModel, theta: Array) -> Structures:
     """The ligaments, groups and added structures of a model, and their lines.
 
-    Springs of an effect, which push as well as they pull, are none. Of a model with several parts
-    they are those of the first.
+    Springs of an effect, which push and pull, are no structures. In a model with several parts all
+    have the same structures, and weights are those of the first.
     """
     if model.parts:
         first = model.parts[0]
@@ -119,7 +119,7 @@ def structures(model: LaxityModel, theta: Array) -> Structures:
     owned = setting.owned(len(model.knee.ligaments))
     shares = owned * setting.share[:, None]
     members = dict(zip((x.name for x in model.knee.ligaments), owned.T, strict=True))
-    # What the lines of one without stiffness count: as much as with a little.
+    # Weights of the lines of a structure whose stiffness is zero: the limit of a small stiffness.
     counts = dict(zip(members, shares.T, strict=True))
     for name, member, share in zip(tied.names, tied.member.T, tied.by_stiffness.T, strict=True):
         members.setdefault(name, owned @ member)
@@ -146,7 +146,7 @@ def structures(model: LaxityModel, theta: Array) -> Structures:
 
 
 def _normed(part: Array) -> Array:
-    """Columns with the sum 1; NaN where a structure is cut through, which has no strain."""
+    """Columns scaled to the sum 1; NaN for a structure that is cut through, as it has no strain."""
     whole = part.sum(axis=0)
     return np.asarray(part / np.where(whole > 0.0, whole, np.nan))
 
@@ -188,7 +188,7 @@ def structure_loads(model: LaxityModel, prediction: Prediction) -> StructureLoad
         return _structure_loads_of_parts(model, prediction)
     lines, owners = line_loads(model, prediction), structures(model, prediction.theta)
     strains = lines.strains @ owners.weight
-    # Where an amplitude changes the stiffness of one line of several, the mean moves towards it.
+    # The weights of the mean strain change where an amplitude changes the stiffness of one line.
     relative = np.divide(
         owners.member,
         owners.stiffness,
@@ -223,7 +223,7 @@ def added_line_tensions(
         Femoral and tibial ends in the axes of their bones [mm], shape ``(k, 3)`` each; lengths are
         measured in the scanned pose.
     stiffness, reference_strain
-        Of each line [N, -], shape ``(k,)``.
+        Stiffness [N] and reference strain [-] of each line, shape ``(k,)``.
     """
     if model.parts:
         found = [
@@ -232,7 +232,7 @@ def added_line_tensions(
             )
             for x in model.parts
         ]
-        # Where each trial of the whole stands among those of the parts, one after the other.
+        # Back to the order of the trials of the whole model.
         order = np.argsort(np.concatenate([x.trials for x in model.parts]))
         return LigamentTensions(
             **{
@@ -265,8 +265,8 @@ def _structure_loads_of_parts(model: LaxityModel, prediction: Prediction) -> Str
 def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
     """Tension of every ligament in every trial [N], shape ``(n, n_ligaments)``.
 
-    That of all its lines where an effect splits it into bundles. NaN in trials that did not
-    converge.
+    If an effect splits a ligament into bundles, it is the sum over these. NaN in trials that did
+    not converge.
     """
     return _of_trials(_of_ligaments, model, prediction)[0]
 
@@ -274,8 +274,8 @@ def tensions_of(model: LaxityModel, prediction: Prediction) -> Array:
 def strains_of(model: LaxityModel, prediction: Prediction) -> Array:
     """Strain of every ligament in every trial [%], shape ``(n, n_ligaments)``.
 
-    The mean over its lines, weighted by stiffness, where an effect splits it into bundles; negative
-    where it is slack. NaN where it is cut through, and in trials that did not converge.
+    If an effect splits a ligament into bundles, it is their mean weighted by stiffness. Negative
+    where the ligament is slack; NaN where it is cut through and in trials that did not converge.
     """
     return _of_trials(_of_ligaments, model, prediction)[1]
 
@@ -307,7 +307,7 @@ def _of_trials(
     model: LaxityModel,
     prediction: Prediction,
 ) -> tuple[Array, Array]:
-    """Two rows of values of every trial, from the parts of a model where it has some."""
+    """Two arrays with a row for each trial, computed by parts where the model has some."""
     if model.parts:
         found = [_of_trials(computed, x.model, x.prediction(prediction)) for x in model.parts]
         order = np.argsort(np.concatenate([x.trials for x in model.parts]))
@@ -325,7 +325,7 @@ def _of_structures(
     owners = structures(model, prediction.theta)
     found = _of_lines(model, model.setting(prediction.theta), prediction)
     chosen = [index_of(x, owners.names, "ligament") for x in names]
-    # Each by itself: its last digit is then the same whatever it is asked for with.
+    # One product for each, so that a result does not depend on the others by rounding.
     tensions = np.column_stack([found.tensions @ owners.member[:, k] for k in chosen])
     strains = np.column_stack([found.strains @ owners.weight[:, k] for k in chosen])
     return tensions, strains / PER_PCT
@@ -351,12 +351,12 @@ def _of_lines(
 
 
 def index_of(name: str, names: Sequence[str], kind: str) -> int:
-    """The place of a name among others.
+    """Index of a name in `names`; `kind` is the word for it in the error.
 
     Raises
     ------
     ValueError
-        If it is not among them.
+        If the name is not in `names`.
     """
     if name not in names:
         shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")

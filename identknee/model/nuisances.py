@@ -37,7 +37,7 @@ from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import BONES, Knee
 from identknee.subject.surface import Surface
 
-# The normal of a surface is that of the triangles within this distance, the size of an insertion.
+# Radius of the patch over which a surface normal is averaged, about the size of an insertion [mm].
 PATCH_MM = 5.0
 
 
@@ -51,7 +51,7 @@ def surface_normal(surface: Surface, place: Array) -> Array:
     surface
         The surface of a bone.
     place
-        A place near it [mm], shape ``(3,)``.
+        A point near it [mm], shape ``(3,)``.
     """
     middles = surface.vertices[surface.faces].mean(axis=1)
     tree = cKDTree(middles)
@@ -64,13 +64,13 @@ def surface_normal(surface: Surface, place: Array) -> Array:
 def insertion_covariance(knee: Knee, ligament: str, bone: str) -> Array:
     """Covariance of an insertion along the axes of its bone [mm^2], shape ``(3, 3)``.
 
-    Where it is better or worse known across the surface of the bone than along it, one principal
-    axis is the normal of that surface.
+    If its uncertainty across the surface of the bone is stated apart from that along it, one
+    principal axis is the normal of that surface.
 
     Raises
     ------
     ValueError
-        If that is stated and the knee has no surfaces of the bones.
+        If an uncertainty across the bone is stated and the knee has no surfaces of the bones.
     """
     stated = knee.uncertainty
     if not stated.insertions_normal_mm:
@@ -89,7 +89,7 @@ def insertion_covariance(knee: Knee, ligament: str, bone: str) -> Array:
     return np.asarray(along * (np.eye(3) - across) + stated.insertions_normal_mm**2 * across)
 
 
-# Standard deviations within which an amplitude lies.
+# Bounds of an amplitude, in prior standard deviations.
 REACH = 4.0
 CELL = "load_cell"
 KINDS = ("varus_moment", "internal_moment", "anterior_force", "axial_force", "lateral_force")
@@ -118,7 +118,8 @@ def load_gain(sd: float) -> LoadError:
 def load_cell(sd_N: float, sd_Nm: float) -> ReadingError:
     """A constant error of what a load cell reads in superposition, along tibial axes [N, N m].
 
-    It is what drift between two runs and the compensation of gravity leave; coordinates have none.
+    It remains of drift between two runs and of the compensation of gravity. Coordinates do not
+    change with it.
     """
     made = stated_errors(CELL, WRENCH, [sd_N] * 3 + [sd_Nm] * 3)
     return ReadingError(name=CELL, parameters=made, read=_unchanged)
@@ -129,7 +130,7 @@ def _unchanged(coordinates: Array, _values: Array, _tests: TrialRecord) -> Array
 
 
 def flexion(sd_deg: float) -> InputsChange:
-    """How much more the knee was flexed than stated, in all trials alike [deg]."""
+    """An error of flexion in all trials, positive where the knee was flexed more [deg]."""
     made = stated_errors("flexion", ["offset_deg"], [sd_deg])
     return replace(flexion_offset(), name="flexion", parameters=made)
 
@@ -141,7 +142,7 @@ def _turned(loads: Array, _flexion: Array, values: Array) -> Array:
     turn = Rotation.from_rotvec(np.radians(values))
     moments = np.column_stack([loads[:, MOMENTS], np.zeros(len(loads))])
     acted = np.array(loads)
-    # Of a moment about the axis of flexion the rig takes up all.
+    # The rig prescribes flexion, and so takes up any moment about that axis.
     acted[:, MOMENTS] = turn.apply(moments)[:, :2]
     acted[:, FORCES] = turn.apply(loads[:, FORCES])
     return acted
@@ -170,7 +171,7 @@ class LinearlyCombinedEffect:
         return self.effect.change(setting, values @ self.matrix.T)
 
 
-# An insertion is not farther off than this, however little is known of it [mm].
+# Largest error of an insertion [mm].
 FARTHEST = 25.0
 PRINCIPAL_AXES = ("1st", "2nd", "3rd")
 
@@ -281,7 +282,7 @@ def _with_toe_region(setting: MechanicsInputs, values: Array) -> MechanicsInputs
 def _with_reference_pose(
     used: tuple[int, ...], setting: MechanicsInputs, values: Array
 ) -> MechanicsInputs:
-    """The reference lengths that the other pose gives, of the subject's own ligaments."""
+    """The inputs with the reference lengths of the subject's ligaments in the other pose."""
     whole = np.zeros(6)
     whole[list(used)] = values
     turn, shift = np.radians(whole[:3]), whole[3:]
@@ -330,7 +331,7 @@ class Registration:
         return whole
 
 
-# Of each error the parts of `Uncertainty` that state it, and what makes it of these.
+# For each error the fields of `Uncertainty` that state it, and the function that makes it of them.
 _ERRORS = MappingProxyType[str, tuple[tuple[str, ...], Callable[..., Effect]]](
     {
         "reference_pose": (("reference_pose_deg", "reference_pose_mm"), reference_pose),
@@ -353,7 +354,7 @@ _ERRORS = MappingProxyType[str, tuple[tuple[str, ...], Callable[..., Effect]]](
 def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     """The stated nuisance parameters of a knee, in the order in which they act; may be empty.
 
-    Errors that are the same for every parameter are no part of it: see
+    Errors that are marginalised without parameters are not among them: see
     `identknee.model.residuals`.
 
     Examples
@@ -376,12 +377,12 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
 
 
 def contact_rounding(knee: Knee) -> float:
-    """Rounding of the contact law of a knee [mm]: the most where geometry or tests are uncertain.
+    """Rounding of the contact law of a knee [mm]: the largest if geometry or tests are uncertain.
 
-    There a search goes far along bent valleys, and the stiffness of the joint jumps wherever a
-    contact point begins to touch: kinks at which no derivative tells of the other side. Predictions
-    change by 0.02 mm and 0.04 deg rms at most (two knees, 63 trials). Exact geometry keeps the law
-    it was fitted with, which is the paper's unless the knee says otherwise.
+    With nuisances a search goes far along bent valleys. Without rounding the stiffness of the joint
+    jumps wherever a contact point begins to touch, and derivatives do not show it. Rounding changes
+    predictions by 0.02 mm and 0.04 deg rms at most (two knees, 63 trials). An exact knee keeps the
+    law that it was fitted with, which is the paper's unless the knee states another.
     """
     return MOST_ROUNDING if nuisances_of(knee) else knee.contact_rounding_mm
 
@@ -395,13 +396,13 @@ class StoredWithKnee(tuple[Effect, ...]):
 def stored_effects(knee: Knee) -> tuple[Effect, ...]:
     """The effects stored with a knee, then its nuisances.
 
-    An effect that is both is one mechanism: it has the prior of the nuisance, or is held where the
-    knee states none.
+    An effect that is stored and stated as a nuisance acts once, with the prior of the nuisance. A
+    stored error that is not stated is fixed at its stored amplitudes.
 
     Raises
     ------
     ValueError
-        If a stored error has no such part.
+        If a stored error has no amplitude of a stored name.
     """
     stated = nuisances_of(knee)
     names = {x.name for x in stated}
@@ -410,7 +411,7 @@ def stored_effects(knee: Knee) -> tuple[Effect, ...]:
         if choice.name in names or choice.name not in _ERRORS:
             continue
         parts, make = _ERRORS[choice.name]
-        # At any spread: it does not count.
+        # Any spread does, because all amplitudes are fixed.
         effect = make(*[1.0] * len(parts))
         sizes = dict.fromkeys(effect.parameters.names, 0.0)
         for name, value in choice.values.items():

@@ -2,8 +2,8 @@
 
 The wrench of a structure is predicted in the model's equilibrium of the trial whose path was
 replayed. An error of the replayed pose changes it by the stiffness of the structure: it adds
-``K S K'`` to the covariance of the readings. That stiffness is taken at one parameter vector and
-kept, so that residuals stay a function of the parameters with errors of known size.
+``K S K'`` to the covariance of the readings. The stiffness K is computed at one parameter vector
+and kept, so that the size of the errors does not change during a fit.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from identknee.runs.errors import ValueRefused
 
 @declared
 class StructureWrenches:
-    """What structures do to the tibia in trials, one of each a row.
+    """Wrenches of structures on the tibia; each row is one structure in one trial.
 
     Forces and moments about the tibial origin, in tibial axes. NaN where a trial has no
     equilibrium.
@@ -56,7 +56,7 @@ def structure_wrenches(
     model, prediction
         The model, and its prediction with derivatives.
     trials, names
-        Place of the trial, and name of the structure, of each row.
+        Index of the trial and name of the structure, of each row.
 
     Raises
     ------
@@ -131,18 +131,19 @@ class SuperpositionResiduals:
     model
         The model under the protocol of the data.
     superposition
-        What was measured. Where it has no covariance yet, that at the model's start counts.
+        The measured in-situ forces. If they have no covariance yet, that at the model's start is
+        used.
     offset
-        What is added to what the cell reads of each row, shape ``(rows, 6)``; nothing if None.
+        Added to the predicted readings of the cell, shape ``(rows, 6)``; None adds nothing.
     is_everywhere
-        Whether a trial without equilibrium leaves its forces out, as in a search that begins
-        anywhere; all residuals are infinite otherwise.
+        Whether forces of trials without equilibrium are left out, as in a search that begins
+        anywhere; otherwise all residuals are infinite then.
 
     Raises
     ------
     ValueError
-        If the model lacks a structure that was cut, it was gone before, or a part of it was and the
-        path was made without that.
+        If the model lacks a structure that was cut, if it had been cut before, or if a part of it
+        had been and the path was measured without that part.
     """
 
     model: LaxityModel
@@ -176,16 +177,16 @@ class SuperpositionResiduals:
 
     @property
     def n(self) -> int:
-        """How many values were measured."""
+        """Number of measured values."""
         return self.superposition.n_values
 
     @property
     def trials(self) -> IntArray:
-        """The trial of each, shape ``(n,)``."""
+        """Index of the trial of each value, shape ``(n,)``."""
         return np.array(self._trials)[np.nonzero(self.superposition.is_measured)[0]]
 
     def predicted(self, theta: Array) -> Array:
-        """What the cell would read, and the size of the force, shape ``(rows, 7)``."""
+        """Predicted readings of the cell, and the size of the force, shape ``(rows, 7)``."""
         wrenches = self._readings(theta)
         size = np.linalg.norm(wrenches[:, FORCE], axis=1, keepdims=True)
         return np.concatenate([wrenches, size], axis=1)
