@@ -103,7 +103,7 @@ class ResidualTest:
     """One test of residuals."""
 
     statistic: float = entry("A chi-square, or an F ratio", unit="1")
-    degrees_of_freedom: float = entry("Degrees of freedom of it, or of its numerator", unit="1")
+    degrees_of_freedom: int = entry("Degrees of freedom of it, or of its numerator", unit="1")
     p_value: float = entry("Probability of one as large if the residuals are noise", unit="1")
 
 
@@ -287,10 +287,10 @@ def chi2_or_f_test(square: float, degrees: float, noise_degrees: float) -> Resid
     """Whether a sum of squares is larger than noise: chi-square, or F for an estimated noise."""
     if np.isinf(noise_degrees):
         p_value = float(scipy.stats.chi2.sf(square, degrees))
-        return ResidualTest(statistic=square, degrees_of_freedom=degrees, p_value=p_value)
+        return ResidualTest(statistic=square, degrees_of_freedom=round(degrees), p_value=p_value)
     ratio = square / degrees
     p_value = float(scipy.stats.f.sf(ratio, degrees, noise_degrees))
-    return ResidualTest(statistic=ratio, degrees_of_freedom=degrees, p_value=p_value)
+    return ResidualTest(statistic=ratio, degrees_of_freedom=round(degrees), p_value=p_value)
 
 
 def log_chi2_tail(value: Array, degrees: float) -> Array:
