@@ -41,6 +41,9 @@ NOT_COMPARED = {"seconds", "sentence"}
 # not, which is compared beside it.
 WORK = {"n_simulations", "n_polishing"}
 WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
+# A score of a cause stands where a diagnosis' fit ended, which is known to 1e-4 of its deviance:
+# machine code compiled elsewhere moved one by 1.1e-4.
+SCORES, SCORE_RELATIVE = ("score",), 1e-3
 # Records older than a change of what they record. A search for an equilibrium that ends within
 # 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09)
 # and bootstraps of ranks to others (07). Searches on a measured knee find lower fits since
@@ -173,9 +176,13 @@ def differences(recorded: Any, found: Any) -> list[str]:
 
 
 def is_same_at(place: str, old: Any, new: Any) -> bool:
-    """Whether two values are one; how much work there was need not be the same to the last step."""
-    if place.split(".")[-1].split("[")[0] in WORK and is_number(old) and is_number(new):
-        return bool(abs(old - new) <= max(WORK_ABSOLUTE, WORK_RELATIVE * max(old, new)))
+    """Whether two values are one: the work that a fit took and scores at its end only nearly."""
+    name = place.split(".")[-1].split("[")[0]
+    if is_number(old) and is_number(new):
+        if name in WORK:
+            return bool(abs(old - new) <= max(WORK_ABSOLUTE, WORK_RELATIVE * max(old, new)))
+        if name in SCORES:
+            return bool(abs(old - new) <= max(ABSOLUTE, SCORE_RELATIVE * max(abs(old), abs(new))))
     return is_same(old, new)
 
 

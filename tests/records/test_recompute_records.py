@@ -64,6 +64,14 @@ def test_a_search_may_take_a_little_longer_if_it_ends_there() -> None:
     assert differences({"n_trials": 63}, {"n_trials": 62}) == ["n_trials was 63, is 62"]
 
 
+def test_a_score_is_the_same_to_a_thousandth() -> None:
+    recorded = {"scores": [{"score": 0.783838}, {"score": 0.0}]}
+    assert differences(recorded, {"scores": [{"score": 0.783923}, {"score": 1e-7}]}) == []
+    assert differences(recorded, {"scores": [{"score": 0.785}, {"score": 0.0}]}) == [
+        "scores[0].score was 0.783838, is 0.785"
+    ]
+
+
 def test_entries_are_drawn_by_seed_until_there_are_enough() -> None:
     pool = [_entry(str(i), 1.0, 2.0, 3.0) for i in range(50)]
     names = [[x.name for x in draw(pool, 7, seed)] for seed in (1, 1, 2)]
