@@ -16,7 +16,7 @@ from typing import Any
 from blind_diagnoses import BlindTask, outcome_of
 from kept_outcomes import KeptOutcomes
 from knees import knee
-from requirement_rows import Row
+from requirement_rows import Measure, Row
 from verdict_cases import distance_from_listed
 from verify_blind import REAL, REFERENCE, is_in_group, is_right, is_wrong, share_of, told
 
@@ -75,6 +75,7 @@ def _row(known: dict[str, dict[str, Any]], n: int) -> Row:
     isolable = [x for x in found if x["is_isolable"]]
     grouped = [x for x in found if x["verdict"] in ("NAMED", "AMBIGUOUS")]
     measures = [
+        Measure(what="cases", value=float(len(known)), unit="", bar=float(n), at_least=True),
         share_of("wrong single name", found, is_wrong, bar=0.03),
         share_of("isolable", found, lambda x: bool(x["is_isolable"])),
         share_of("truth named or in the group", grouped, is_in_group, bar=0.95, at_least=True),
@@ -82,7 +83,7 @@ def _row(known: dict[str, dict[str, Any]], n: int) -> Row:
     ]
     if isolable:
         measures.insert(
-            2, share_of("right name of the isolable", isolable, is_right, bar=0.8, at_least=True)
+            3, share_of("right name of the isolable", isolable, is_right, bar=0.8, at_least=True)
         )
     for subject, effect in product(KNEES, HIDDEN):
         own = [x for x in found if x["knee"] == subject and x["effects"] == [effect]]
