@@ -221,7 +221,7 @@ def _detected(outcomes: Outcomes) -> list[Measure]:
     ]
 
 
-def not_separable(subject: str) -> set[str]:
+def _not_separable(subject: str) -> set[str]:
     """What the 63 trials cannot tell from something else, as is known before there are data.
 
     Errors of the insertions are in no group, since they imitate a little of everything.
@@ -237,7 +237,7 @@ def _named(by_subject: Mapping[str, Outcomes], hidden: Outcomes) -> list[Measure
     alone: Outcomes = []
     others: Outcomes = []
     for subject, outcomes in by_subject.items():
-        apart = not_separable(subject)
+        apart = _not_separable(subject)
         for x in [*_at(outcomes, 10.0), *_at(outcomes, 20.0)]:
             (others if apart & set(x["effects"]) else alone).append(x)
     ambiguous = [x for x in others if x["verdict"] in ("NAMED", "AMBIGUOUS")]
