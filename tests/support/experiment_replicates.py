@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 from coverage_replicates import FREE_TOLERANCE, held_at_truth
 from knees import knee
+from sbc_replicates import MOST_REDRAWN, ranked
 
 import identknee as ik
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.problem import Evaluator
+from identknee.identify.posterior.posterior import prior_draws
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.forces import MeasuredForces
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
@@ -26,6 +29,8 @@ from identknee.verbs.identification import Identification, identification
 STATES = {"intact": "intact", "cut": "cut: MCL", "part": "cut: LCL 50%"}
 FORCES = {"ACL.tension_N": 10.0, "contact.medial_N": 20.0}
 NOISE, EVERY, LOG_SD, STRAIN_SD = 0.5, 3, 0.15, 0.5
+# A sample takes a thousand simulations and more, so it has fewer trials.
+EVERY_SAMPLED = 9
 STATED = Uncertainty(insertions_mm=2.0)
 MOST_DRAWS, MOST_ROUNDS, WORTH = 50, 4, 0.01
 
@@ -36,6 +41,33 @@ def experiment_replicate(task: tuple[str, int]) -> dict[str, Any]:
     known = knee(subject).with_uncertainty(STATED)
     laxity, truth = _measured(known, np.random.default_rng([seed, *subject.encode()]))
     return rises_to_truth(identification(known, laxity), truth)
+
+
+def experiment_ranks(seed: int) -> dict[str, Any]:
+    """Ranks of a true knee, intact and cut, among draws of its posterior; geometry is known.
+
+    A truth that loses a trial is drawn again: the posterior gives such parameters no likelihood,
+    so that prior and posterior are cut off alike.
+    """
+    model, generator = state_model(), np.random.default_rng(seed)
+    for n_redrawn, truth in enumerate(prior_draws(model.parameters, MOST_REDRAWN, generator)):  # noqa: B007 - the first that is found
+        found = model.predict(truth, derivatives=False)
+        if found.is_converged.all():
+            break
+    exact = ik.Laxity(protocol=model.protocol, coordinates=found.coordinates)
+    noisy = add_noise(exact, sd_mm=NOISE, sd_deg=NOISE, seed=seed)
+    made = replace(noisy, forces=_forces(model, truth, generator))
+    problem = identification(model.knee, made).problem
+    assert problem.parameters.names == model.parameters.names
+    return {"n_redrawn": n_redrawn, **ranked(problem, truth, seed)}
+
+
+def state_model() -> LaxityModel:
+    """The reference knee in those trials of all states that hold at its values."""
+    whole = LaxityModel(knee=knee("reference"), protocol=_protocol(EVERY_SAMPLED))
+    holds = whole.predict(whole.parameters.start, derivatives=False).is_converged
+    held = whole.protocol.select(np.flatnonzero(holds).tolist())
+    return LaxityModel(knee=whole.knee, protocol=held)
 
 
 def rises_to_truth(setup: Identification, truth: Mapping[str, float]) -> dict[str, Any]:
@@ -103,9 +135,9 @@ def _forces(model: LaxityModel, theta: Array, generator: np.random.Generator) ->
     return MeasuredForces(names=tuple(FORCES), values=values, sd=sd)
 
 
-def _protocol() -> Protocol:
+def _protocol(every: int = EVERY) -> Protocol:
     trials = ik.load_protocol("seed63")
-    trials = trials.select(range(0, trials.n, EVERY))
+    trials = trials.select(range(0, trials.n, every))
     tables = []
     for name, state in STATES.items():
         protocol = replace(trials, name=name, state=(state,) * trials.n)

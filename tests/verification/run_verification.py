@@ -46,6 +46,7 @@ MODULES = {
     "experiments": "verify_experiments",
     "limits": "verify_limits",
     "sbc_limits": "verify_sbc_limits",
+    "sbc_states": "verify_sbc_states",
     "forecast": "verify_forecast",
     "states": "verify_states",
     "blind_states": "verify_blind_states",
