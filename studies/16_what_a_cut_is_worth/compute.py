@@ -1,7 +1,8 @@
 """Slow part of the study: what each way to spend trials tells, and what forces of the ACL do.
 
-Intervals of every parameter after each plan on two knees with a capsule; slack lengths of 18
-ligaments from laxity and ACL forces; and a measured knee, with what its laboratory could have done.
+Intervals of every parameter and of forces after each plan on three knees with a capsule, one of
+them of bundles; slack lengths of 18 ligaments from laxity and ACL forces; and a measured knee, with
+what its laboratory could have done.
 Writes ``records/what_a_cut_is_worth.json``. Finished cases are kept in a store outside the
 checkout, so that the same command resumes where it was stopped.
 """
@@ -37,9 +38,15 @@ from identknee.model.contact_loads import contact_values
 from identknee.model.line_loads import structure_values
 from identknee.subject.knee import Uncertainty
 
-KNEES = ("reference", "lenhart2015_stable")
 MEASURED = "s192803"
-LIGAMENTS = ("ACL", "PCL", "LCL", "MCL")
+# The structures of each knee whose tension is measured or asked for.
+KNEES = {
+    "reference": ("ACL", "PCL", "LCL", "MCL"),
+    "lenhart2015_stable": ("ACL", "PCL", "LCL", "MCL"),
+    "s192803_bundles": ("ACL", "PCL", "lateral", "medial"),
+}
+# The bundles of a structure that a plan cuts, where a knee has bundles.
+CUT_BUNDLES = {"s192803_bundles": {"MCL": "MCLa, MCLm, MCLp"}}
 PROTOCOL, NOISE, INSERTIONS_MM = "table2", 0.5, 2.0
 TENSION_SD, CONTACT_SD = 5.0, 20.0
 # States in which the protocol is done, and what is measured beside the pose in the last of them.
@@ -56,7 +63,7 @@ DIGITS = 5
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
     options = parsed_options(__file__, "one knee, two plans")
-    names = KNEES[:1] if options.quick else KNEES
+    names = list(KNEES)[:1] if options.quick else list(KNEES)
     plans = list(PLANS)[:2] if options.quick else list(PLANS)
     seeds = range(0 if options.quick else slack_lengths.N_REPLICATES)
     record = begun(
@@ -100,23 +107,39 @@ def measured_knee(kept: Kept) -> Row:
 
 
 def plan_row(task: Row, parameters: list[str] | None = None) -> Row:
-    """Intervals of all parameters, or of some, after one plan on one knee."""
-    knee = study_subject(task["knee"])
-    laxity = planned_laxity(knee, *PLANS[task["plan"]])
-    found = ik.profile(knee, laxity, parameters=parameters)
-    ends = {name: [x.lower, x.upper] for name, x in found.parameters.items()}
-    row: Row = rounded({"plan": task["plan"], "n_trials": laxity.n, "ends": ends}, DIGITS)
+    """Intervals of all parameters, or of some, and of largest forces, after one plan on a knee."""
+    name, (states, measured) = task["knee"], PLANS[task["plan"]]
+    knee = study_subject(name)
+    laxity = planned_laxity(knee, KNEES[name], states_of(name, states), measured)
+    intact = planned_laxity(knee, KNEES[name], ("intact",), "tension")
+    assert intact.forces is not None
+    strongest = np.argmax(np.asarray(intact.forces.values), axis=0)
+    asked = [
+        f"{x}.tension_N@{intact.protocol.trials[i]}"
+        for x, i in zip(KNEES[name], strongest.tolist(), strict=True)
+    ]
+    found = laboratory.intervals(knee, laxity, asked, parameters)
+    row: Row = rounded({"plan": task["plan"], "n_trials": laxity.n, **found}, DIGITS)
     return row
 
 
+def states_of(name: str, states: tuple[str, ...]) -> tuple[str, ...]:
+    """The states of a plan, their cuts in the words of a knee."""
+    for structure, bundles in CUT_BUNDLES.get(name, {}).items():
+        states = tuple(x.replace(structure, bundles) for x in states)
+    return states
+
+
 def study_subject(name: str) -> ik.Knee:
-    """A knee with a capsule, the insertions of its four ligaments known to 2 mm."""
-    spreads = {x: {"femur": INSERTIONS_MM, "tibia": INSERTIONS_MM} for x in LIGAMENTS}
-    knee = ik.subject.with_capsule(study_knee(name))
-    return knee.with_uncertainty(Uncertainty(insertions_mm=spreads))
+    """A knee with a capsule, all other insertions known to 2 mm."""
+    knee = study_knee(name)
+    spreads = {x.name: {"femur": INSERTIONS_MM, "tibia": INSERTIONS_MM} for x in knee.ligaments}
+    return ik.subject.with_capsule(knee).with_uncertainty(Uncertainty(insertions_mm=spreads))
 
 
-def planned_laxity(knee: ik.Knee, states: tuple[str, ...], measured: str) -> ik.Laxity:
+def planned_laxity(
+    knee: ik.Knee, structures: tuple[str, ...], states: tuple[str, ...], measured: str
+) -> ik.Laxity:
     """What a plan would measure of the knee, without noise; trials that do not hold are missing."""
     base = ik.load_protocol(PROTOCOL)
     protocol = concatenate(
@@ -130,7 +153,7 @@ def planned_laxity(knee: ik.Knee, states: tuple[str, ...], measured: str) -> ik.
     prediction = model.predict(model.parameters.start)
     laxity = replace(model.simulate(model.parameters.start), sd=np.full((protocol.n, 5), NOISE))
     if measured == "tension":
-        forces = {f"{x}.tension_N": structure_values(model, prediction, x)[0] for x in LIGAMENTS}
+        forces = {f"{x}.tension_N": structure_values(model, prediction, x)[0] for x in structures}
         laxity = replace(laxity, forces=_in_last(forces, base.n, TENSION_SD))
     elif measured == "contact":
         values = contact_values(prediction)[:, :, 0].T

@@ -219,7 +219,9 @@ def plan_row(task: Row) -> Row:
     return dict(rounded({"plan": task["plan"], "n_trials": laxity.n, **found}, DIGITS))
 
 
-def intervals(knee: ik.Knee, laxity: ik.Laxity, asked: list[str]) -> Row:
+def intervals(
+    knee: ik.Knee, laxity: ik.Laxity, asked: list[str], names: list[str] | None = None
+) -> Row:
     """95 % intervals about the truth, where laxity without noise has its best fit.
 
     Those of parameters are profiled, those of forces are of first order.
@@ -228,10 +230,11 @@ def intervals(knee: ik.Knee, laxity: ik.Laxity, asked: list[str]) -> Row:
     if setup.trials_used != laxity.protocol.trials:
         raise AssertionError(set(laxity.protocol.trials) - set(setup.trials_used))
     parameters = setup.problem.parameters
+    names = names or list(parameters.names_of_interest)
     profiles = profile_quantities(
         setup.problem,
         setup.start,
-        [ParameterQuantity(parameters=parameters, name=x) for x in parameters.names_of_interest],
+        [ParameterQuantity(parameters=parameters, name=x) for x in names],
         starts=(),
     )
     covariance = _covariance(setup)
