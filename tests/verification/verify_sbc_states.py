@@ -41,9 +41,9 @@ def measure(options: argparse.Namespace) -> Row:
     simulations = np.median([x["n_simulations"] for x in found])
     redrawn = sum(x["n_redrawn"] for x in found)
     return Row(
-        line="simulation-based calibration with an MCL cut, an LCL cut by half and the ACL's force, "
-        "100 replicates: rank ECDF inside simultaneous bands at level 1 - 0.05/9 for the 8 "
-        "parameters of reference and the share that the partial cut leaves",
+        line="simulation-based calibration with the MCL cut, the LCL cut by half and the force "
+        "of the ACL, 100 replicates: rank ECDF inside simultaneous bands at level 1 - 0.05/9 "
+        "for the 8 parameters of reference and the share that the partial cut leaves",
         measures=measures,
         notes=[
             (
