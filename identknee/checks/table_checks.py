@@ -1,6 +1,7 @@
 """Checks of a laxity table: loads, frames, conventions, and trials that contradict the others."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -121,8 +122,9 @@ MOST_SHARE = 0.1
 LEAST_LEFT = 1e-6
 # Mean square in units of the noise below which data are free of noise, and only rounding is left.
 LEAST_SQUARE = 1e-6
-# Fewest trials of one load direction from which a course over flexion is fitted.
-LEAST_TRIALS = 4
+# Fewest flexion angles of one load direction from which a course over flexion is fitted, and how
+# far the angles of repeated trials may differ [deg].
+LEAST_ANGLES, FLEXION_ALIKE = 4, 2.0
 # The same as LEVEL for courses over flexion: smaller, since coordinates follow them only nearly.
 TABLE_LEVEL = 1e-4
 # Share by which loads of one direction may differ and still be one end point.
@@ -335,10 +337,17 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
 
     Every coordinate is fitted by a parabola over flexion, with an offset and a slope for each
     direction of load and one curvature for all. This needs a table with one load for each
-    direction, such as end points of a robot; for others the result is empty.
+    direction, such as end points of a robot; for others the result is empty. Repeated trials count
+    once, by their mean, and are not named: each departs from a parabola as the others do.
     """
-    rows, design = _courses_over_flexion(laxity.protocol)
-    values = laxity.coordinates[rows]
+    rows, point, design = _courses_over_flexion(laxity.protocol)
+    count = np.bincount(point, minlength=len(design))
+    values = np.full((len(design), len(COORDINATES)), np.nan)
+    for j, column in enumerate(laxity.coordinates[rows].T):
+        used = ~np.isnan(column)
+        n = np.bincount(point[used], minlength=len(design))
+        sums = np.bincount(point[used], column[used], minlength=len(design))
+        values[n > 0, j] = sums[n > 0] / n[n > 0]
     measured = ~np.isnan(values)
     parts = [(values[use, j], design[use]) for j, use in enumerate(measured.T) if use.any()]
     if not parts or any(len(x) <= X.shape[1] for x, X in parts):
@@ -351,22 +360,34 @@ def suspicious_end_points(laxity: Laxity) -> list[SuspiciousRow]:
         diags_array(1.0 / spread),
     )
     coordinates, places = np.nonzero(measured.T)
-    return suspicious_rows(fit, rows[places], coordinates, level=TABLE_LEVEL)
+    found = suspicious_rows(fit, places, coordinates, level=TABLE_LEVEL)
+    return [replace(x, trial=int(rows[point == x.trial][0])) for x in found if count[x.trial] == 1]
 
 
-def _courses_over_flexion(protocol: Protocol) -> tuple[IntArray, Array]:
-    """Rows of the trials that can be compared, and the design matrix of their courses."""
+def _courses_over_flexion(protocol: Protocol) -> tuple[IntArray, IntArray, Array]:
+    """Rows of the trials that can be compared, their point, and the design matrix of the points.
+
+    A point is a direction of load at a flexion angle, to within `FLEXION_ALIKE`.
+    """
     found = dominant_loads(protocol)
     group = np.where(found.axis < 0, 0, np.sign(found.size) * (found.axis + 1)).astype(int)
-    usable = [x for x in np.unique(group) if np.count_nonzero(group == x) >= LEAST_TRIALS]
+    order = np.lexsort((protocol.flexion_deg, group))
+    is_new = np.diff(group[order]) != 0
+    is_new |= np.diff(protocol.flexion_deg[order]) > FLEXION_ALIKE
+    point = np.empty(protocol.n, dtype=np.int64)
+    point[order] = np.concatenate([[0], np.cumsum(is_new)])
+    usable = [x for x in np.unique(group) if np.unique(point[group == x]).size >= LEAST_ANGLES]
     for direction in usable:
         size = np.abs(found.size[group == direction])
         if size.min() < (1.0 - ALIKE) * size.max():
-            return np.zeros(0, dtype=np.int64), np.zeros((0, 0))
+            usable = []
+            break
     rows = np.flatnonzero(np.isin(group, usable))
-    turn = (protocol.flexion_deg[rows] - 45.0) / 45.0
-    own = (group[rows, None] == np.array(usable, dtype=int)).astype(float)
-    return rows, np.hstack([own, own * turn[:, None], turn[:, None] ** 2])
+    _, first, places = np.unique(point[rows], return_index=True, return_inverse=True)
+    own = rows[first]
+    turn = (protocol.flexion_deg[own] - 45.0) / 45.0
+    offset = (group[own, None] == np.array(usable, dtype=int)).astype(float)
+    return rows, places, np.hstack([offset, offset * turn[:, None], turn[:, None] ** 2])
 
 
 def _scale(values: Array, design: Array) -> float:

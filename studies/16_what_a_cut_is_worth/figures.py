@@ -17,7 +17,8 @@ import identknee as ik
 from identknee.runs.arrays import Array
 
 Row = Mapping[str, Any]
-CAPSULE_KNEES, MEASURED = ("reference", "lenhart2015_stable"), "s192803"
+CAPSULE_KNEES = ("reference", "lenhart2015_stable", "s192803_bundles")
+MEASURED = "s192803"
 HALF_WIDTH = 1.96
 # Ways to calibrate as the record names them, and on two lines.
 WAYS_IN_ORDER = {
@@ -80,7 +81,7 @@ def width(ends: Sequence[float | None]) -> float:
 
 def figure_1(record: Row) -> Figure:
     """Width of each interval by plan, as a share of that of the intact plan."""
-    figure = Figure(figsize=(9.0, 7.2), layout="constrained")
+    figure = Figure(figsize=(9.6, 11.4), layout="constrained")
     panels = figure.subplots(len(CAPSULE_KNEES), 1, squeeze=False)[:, 0]
     for axes, knee in zip(panels, CAPSULE_KNEES, strict=True):
         draw_shares(axes, record["knees"][knee]["plans"])

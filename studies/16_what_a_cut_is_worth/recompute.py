@@ -15,7 +15,7 @@ Row = dict[str, Any]
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Name, recorded value and a function that computes it again.
 
-    Closed intervals of the two knees with a capsule one by one, and each calibration, plan and
+    Closed intervals of the knees with a capsule one by one, and each calibration, plan and
     single step of the other two.
     """
     for name in KNEES:

@@ -21,7 +21,9 @@ from identknee.checks.table_checks import (
     suspicious_rows,
 )
 from identknee.diagnosis.investigation import investigate
+from identknee.laxity.protocol import concatenate
 from identknee.runs.arrays import Array
+from identknee.subject.capsule import with_capsule
 
 pytestmark = pytest.mark.usefixtures("few_starts")
 
@@ -178,6 +180,41 @@ def test_the_row_that_cannot_be_right_is_found_without_a_model() -> None:
     assert found.values["load"] == "9.6 N·m of valgus moment at 57 deg"
     kept = np.arange(laxity.n) != row.trial
     assert suspicious_end_points(laxity.select(kept)) == []
+
+
+def repeated(laxity: ik.Laxity, rows: list[int]) -> ik.Laxity:
+    """The table with some rows a second time, half a degree further flexed."""
+    again = laxity.select(rows)
+    protocol = replace(
+        again.protocol,
+        trials=tuple(f"{x} again" for x in again.protocol.trials),
+        flexion_deg=again.protocol.flexion_deg + 0.5,
+    )
+    return ik.Laxity(
+        protocol=concatenate([laxity.protocol, protocol], name="repeated"),
+        coordinates=np.vstack([laxity.coordinates, again.coordinates]),
+    )
+
+
+def test_what_was_measured_twice_is_no_slip() -> None:
+    laxity = ik.example_laxity("s192803")
+    wrong = laxity.protocol.trials.index("Valgus_60")
+    assert suspicious_end_points(repeated(laxity, list(range(laxity.n)))) == []
+    others = [i for i in range(laxity.n) if i != wrong]
+    (row,) = suspicious_end_points(repeated(laxity, others))
+    assert row.trial == wrong
+
+
+def test_trials_made_three_times_are_no_more_angles() -> None:
+    once = ik.simulate(with_capsule(ik.reference_knee()), "table2").laxity
+    names = [
+        replace(once.protocol, trials=tuple(f"{x}_{k}" for x in once.protocol.trials))
+        for k in "abc"
+    ]
+    laxity = ik.Laxity(
+        protocol=concatenate(names, name="three"), coordinates=np.tile(once.coordinates, (3, 1))
+    )
+    assert suspicious_end_points(laxity) == []
 
 
 def test_the_table_alone_says_nothing_of_ramps() -> None:
