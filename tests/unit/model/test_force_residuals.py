@@ -109,7 +109,7 @@ def test_residuals_are_differences_in_units_of_their_errors() -> None:
         step = 1e-5 * model.parameters.prior_sd_in_own_units[i]
         move = step * np.eye(theta.size)[i]
         slope = (problem.residuals(theta + move) - problem.residuals(theta - move)) / (2.0 * step)
-        bound = 2e-6 * (np.abs(jacobian[:, i]).max() + 1e-3 * np.abs(jacobian).max())
+        bound = 1e-6 * (np.abs(jacobian[:, i]).max() + 1e-3 * np.abs(jacobian).max())
         np.testing.assert_allclose(slope, jacobian[:, i], rtol=0, atol=bound)
 
 

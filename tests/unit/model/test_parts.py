@@ -42,8 +42,9 @@ STATED = Uncertainty(
 KNEE = ik.reference_knee()
 TRIALS = ik.load_protocol("table2").select([0, 2, 4, 7])
 STATES = {"intact": "intact", "part": "cut: LCL 40%", "cut": "cut: MCL"}
-# Standard deviations: differences err by rounding of poses over it, and its square on kinks.
-STEP, SHARE = 2e-5, 2e-6
+# Prior standard deviations: differences err by the rounding of poses over a step, and by kinks that
+# lie within it, so the second is tried where the first errs.
+STEPS, SHARE = (2e-5, 4e-5), 1e-6
 
 
 def _rigs(name: str) -> Experiment:
@@ -129,17 +130,24 @@ def test_derivatives_by_all_parameters() -> None:
     assert found.all_converged
     slopes = _slopes(model, found)
     largest = {k: np.nanmax(np.abs(x), axis=(0, 1)) for k, x in slopes.items()}
-    steps = STEP * model.parameters.prior_sd_in_own_units
-    for i, step in enumerate(steps):
-        move = step * np.eye(theta.size)[i]
-        low, high = (
-            _values(model, model.predict(theta + sign * move, derivatives=False))
-            for sign in (-1.0, 1.0)
-        )
-        for kind, slope in slopes.items():
-            differences = (high[kind] - low[kind]) / (2.0 * step)
-            bound = SHARE * (largest[kind][i] + 1e-3 * largest[kind].max())
-            np.testing.assert_allclose(differences, slope[:, :, i], rtol=0, atol=bound)
+    for i, sd in enumerate(model.parameters.prior_sd_in_own_units):
+        errors = []
+        for step in STEPS:
+            move = step * sd * np.eye(theta.size)[i]
+            low, high = (
+                _values(model, model.predict(theta + sign * move, derivatives=False))
+                for sign in (-1.0, 1.0)
+            )
+            off = {
+                k: (high[k] - low[k]) / (2.0 * step * sd) - x[:, :, i] for k, x in slopes.items()
+            }
+            for kind, x in slopes.items():
+                np.testing.assert_array_equal(np.isnan(off[kind]), np.isnan(x[:, :, i]))
+            bounds = {k: x[i] + 1e-3 * x.max() for k, x in largest.items()}
+            errors.append(max(np.nanmax(np.abs(x)) / bounds[k] for k, x in off.items()))
+            if errors[-1] <= SHARE:
+                break
+        assert min(errors) <= SHARE, names[i]
 
 
 def _values(model: LaxityModel, found: Prediction) -> dict[str, Array]:
