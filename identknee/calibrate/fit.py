@@ -46,6 +46,7 @@ from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.progress import progress, progress_bar
 from identknee.runs.record import Outcome
 from identknee.runs.schema import Fault, number, read_toml, validated
+from identknee.runs.words import unit_of
 
 BUDGET = 2500
 
@@ -398,7 +399,7 @@ def _checked_start(file: Path, values: Mapping[str, Any], parameters: Parameters
     for name, value in start.items():
         i = parameters.index(name)
         if not parameters.lower[i] <= value <= parameters.upper[i]:
-            why = f"{value:g}{_unit(name)} is out of bounds"
+            why = f"{_sized(value, name)} is out of bounds"
             raise InputError(file, name, why, _allowed(name, parameters))
     return frozen(parameters.vector(start), parameters.n, name="the start")
 
@@ -416,11 +417,12 @@ def _wrong(file: Path, fault: Fault, parameters: Parameters) -> InputError:
 
 def _allowed(name: str, parameters: Parameters) -> str:
     i = parameters.index(name)
-    return f"Give a number from {parameters.lower[i]:g} to {parameters.upper[i]:g}{_unit(name)}."
+    return f"Give a number from {parameters.lower[i]:g} to {_sized(parameters.upper[i], name)}."
 
 
-def _unit(name: str) -> str:
-    return " " + name.rpartition("_")[2].replace("pct", "%") if "_" in name else ""
+def _sized(value: float, name: str) -> str:
+    """A value of a parameter as a file of starts would have it, with the unit it is in."""
+    return f"{value:g} {unit_of(name)}".rstrip()
 
 
 def _published() -> dict[str, Any]:

@@ -13,6 +13,7 @@ from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, entry
 from identknee.runs.record import Outcome
+from identknee.runs.words import unit_of
 
 STIFFNESS_UNIT = "_kN"
 STRAIN_UNIT = "_pct"
@@ -788,7 +789,6 @@ def _differentiated(problem: Problem, theta: Array, residuals: Array) -> Evaluat
 
 # The cube root of the rounding error: the best step of central differences.
 DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
-UNITS = {"kN": "kN", "pct": "%", "mm": "mm", "deg": "deg", "N": "N"}
 
 
 class Quantity(Protocol):
@@ -832,7 +832,7 @@ class ParameterQuantity:
     @property
     def unit(self) -> str:
         """The unit that the name ends in; empty where it ends in none."""
-        return UNITS.get(self.name.rpartition("_")[2], "")
+        return unit_of(self.name)
 
     @property
     def index(self) -> int:

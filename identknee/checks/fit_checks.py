@@ -35,6 +35,7 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.runs.words import (
+    PLAIN,
     amount,
     error_words,
     label_without_unit,
@@ -318,9 +319,6 @@ def nuisance_findings(
     return tuple(found)
 
 
-SHIFT_UNITS = {"mm": "mm", "deg": "deg", "N": "N", "Nm": "N·m"}
-
-
 def shift_words(name: str) -> tuple[str, str]:
     """Unit of a nuisance, and words for its component, such as an axis.
 
@@ -332,8 +330,8 @@ def shift_words(name: str) -> tuple[str, str]:
     ('N·m', ' about z')
     """
     *words, last = name.rpartition(".")[2].split("_")
-    unit = SHIFT_UNITS.get(last, "1")
-    what = words if unit != "1" else [*words, last]
+    unit = unit_of(name) or PLAIN
+    what = words if unit != PLAIN else [*words, last]
     if what[0] == "ln":
         return unit, " in its logarithm"
     if what[-1] in ("x", "y", "z"):

@@ -23,7 +23,7 @@ from identknee.diagnosis.score import (
     score_test,
 )
 from identknee.mechanics.pose import coordinate_jacobian
-from identknee.model.effects.effect import OF, PLAIN, Effect, unit_of
+from identknee.model.effects.effect import OF, Effect
 from identknee.model.effects.facts import FACTS
 from identknee.model.effects.insertion import InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
@@ -34,6 +34,7 @@ from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray, frozen
 from identknee.runs.declare import declared, entries, entry
+from identknee.runs.words import PLAIN, unit_of
 from identknee.subject.knee import BONES
 
 # Reference strains [%] and shifts of the insertions [mm] at which a missing structure is tried.
@@ -308,7 +309,7 @@ class CandidateCauses:
             names = [variant.effect.parameters.names[i] for i in variant.moved]
             unit = unit_of(names[0])
             # Two amplitudes without a unit need not be comparable.
-            alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != PLAIN]
+            alike = [k for k, x in enumerate(names) if k == 0 or unit_of(x) == unit != ""]
             least = min(alike, key=lambda k: signature.gram[k, k])
             amplitude = np.zeros(len(names))
             amplitude[least] = relevant * (signature.signature.sign[least] or 1)
@@ -322,7 +323,7 @@ class CandidateCauses:
         return Detectability(
             name=effect.name,
             parameter=name.partition(".")[2],
-            unit=unit_of(name),
+            unit=unit_of(name) or PLAIN,
             detectable=detectable,
             relevant=relevant,
             power=power,

@@ -27,7 +27,7 @@ from identknee.diagnosis.misfit import log_weighted_tail
 from identknee.diagnosis.missing_line import LineEnds
 from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
 from identknee.identify.laplace import Interval, Laplace
-from identknee.model.effects.effect import PLAIN, Effect, unit_of
+from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label, facts_of
 from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.loads import LoadError
@@ -37,6 +37,7 @@ from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import counted, progress, progress_bar, stage
 from identknee.runs.record import Outcome
+from identknee.runs.words import PLAIN, unit_of
 
 MOST_CAUSES = 3
 # Log evidence that a first cause must gain, and that a larger set must gain over a smaller one.
@@ -819,6 +820,6 @@ def _estimate(name: str, i: int, posterior: Laplace) -> Estimate:
     return Estimate(
         name=name.rpartition(".")[2],
         value=float(posterior.theta[i]),
-        unit=unit_of(name),
+        unit=unit_of(name) or PLAIN,
         ci95=posterior.interval(i),
     )

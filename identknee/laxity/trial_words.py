@@ -17,7 +17,7 @@ from identknee.laxity.protocol import (
 from identknee.laxity.table import COORDINATES
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry
-from identknee.runs.words import UNITS, listed
+from identknee.runs.words import listed, unit_of
 
 UNLOADED = "unloaded"
 # Pulling and pressing are named without the word force where they stand by themselves.
@@ -49,8 +49,7 @@ def load_word(axis: int, value: float, pattern: str, *, is_short: bool = False) 
 
 def load_unit(axis: int) -> str:
     """Unit of a load."""
-    unit = LOADS[axis].rpartition("_")[2]
-    return UNITS.get(unit, unit)
+    return unit_of(LOADS[axis])
 
 
 def load_label(axis: int) -> str:

@@ -19,7 +19,6 @@ from identknee.diagnosis.verdict import Estimate
 from identknee.laxity.protocol import Protocol, as_shown
 from identknee.laxity.table import COORDINATES
 from identknee.laxity.trial_words import load_label, load_word, series_words
-from identknee.model.effects.effect import unit_of
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import (
     BLACK,
@@ -42,7 +41,7 @@ from identknee.report.figures import (
 from identknee.report.laxity_figures import LaxityCurves, by_load_figure
 from identknee.report.scene import View
 from identknee.runs.arrays import Array
-from identknee.runs.words import coordinate_words, label, listed
+from identknee.runs.words import PLAIN, coordinate_words, label, listed, unit_of
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (
     AddedVariable,
@@ -387,7 +386,7 @@ def _estimates(
 ) -> dict[str, dict[str, Estimate]]:
     return {
         ligament: {
-            name: Estimate(name=name, value=x, unit=unit_of(name), ci95=own[name])
+            name: Estimate(name=name, value=x, unit=unit_of(name) or PLAIN, ci95=own[name])
             for name, x in (values or {})[ligament].items()
         }
         for ligament, own in (intervals or {}).items()

@@ -3,7 +3,21 @@
 from collections.abc import Iterable, Sequence
 
 MOTIONS = {"varus_deg": "varus angulation", "internal_deg": "internal rotation"}
-UNITS = {"pct": "%", "Nm": "N·m"}
+# How people write the units that names end in. Longer endings stand before shorter ones.
+UNITS = {
+    "N_per_mm3": "N/mm3",
+    "N_per_mm": "N/mm",
+    "N_per_Nm": "N/N·m",
+    "deg_per_Nm": "deg/N·m",
+    "kN": "kN",
+    "Nm": "N·m",
+    "mm": "mm",
+    "deg": "deg",
+    "pct": "%",
+    "N": "N",
+}
+# The unit of a plain number, in results and tables.
+PLAIN = "1"
 
 
 def parameter_words(name: str) -> str:
@@ -67,8 +81,7 @@ def coordinate_words(name: str) -> str:
     >>> coordinate_words("medial_stiffness_N_per_mm3")
     'medial stiffness'
     """
-    above = name.partition("_per_")[0]
-    return MOTIONS.get(name) or above.rpartition("_")[0].replace("_", " ") or name
+    return MOTIONS.get(name) or _before_unit(name).replace("_", " ") or name
 
 
 def label(name: str) -> str:
@@ -82,19 +95,9 @@ def label(name: str) -> str:
     ('medial contact force [N] in a', 'meniscus medial [N/mm]')
     """
     quantity, at, trial = name.partition("@")
-    if "_per_" in quantity:
-        return amplitude_label(quantity)
-    words, _, unit = quantity.rpartition("_")
-    if not words:
-        return name.replace(".", " ")
-    words = contact_words(quantity) or _plain(quantity, words)
-    plain = f"{words} [{UNITS.get(unit, unit)}]"
-    return f"{plain} in {trial}" if at else plain
-
-
-def _plain(quantity: str, words: str) -> str:
-    """A quantity without its unit, its parts as words."""
-    return MOTIONS.get(quantity) or words.replace(".", " ").replace("_", " ")
+    words, unit = label_without_unit(quantity), unit_of(quantity)
+    words = f"{words} [{unit}]" if unit else words
+    return f"{words} in {trial}" if at else words
 
 
 def listed_first(names: Sequence[str], most: int) -> str:
@@ -109,22 +112,6 @@ def listed_first(names: Sequence[str], most: int) -> str:
     return listed([*names[:most], *([f"{more} more"] if more > 0 else [])])
 
 
-def amplitude_label(name: str) -> str:
-    """An amplitude of a cause with its unit in brackets, for a table.
-
-    Examples
-    --------
-    >>> amplitude_label("medial_N_per_mm"), amplitude_label("offset_deg"), amplitude_label("gain")
-    ('medial [N/mm]', 'offset [deg]', 'gain')
-    """
-    above, per, below = name.partition("_per_")
-    if not per:
-        return label(name)
-    words, _, unit = above.rpartition("_")
-    words = words.replace(".", " ").replace("_", " ")
-    return f"{words} [{UNITS.get(unit, unit)}/{UNITS.get(below, below)}]"
-
-
 def unit_of(name: str) -> str:
     """The unit that a name ends in, as people write it; empty where it ends in none.
 
@@ -132,14 +119,20 @@ def unit_of(name: str) -> str:
     --------
     >>> unit_of("ACL.stiffness_kN"), unit_of("ACL.tension_N@a"), unit_of("x.value_pct")
     ('kN', 'N', '%')
-    >>> unit_of("meniscal_wedge.medial_stiffness_N_per_mm3")
-    'N/mm3'
+    >>> unit_of("meniscal_wedge.medial_stiffness_N_per_mm3"), unit_of("moment_gain_IE.gain")
+    ('N/mm3', '')
     """
-    above, per, below = name.partition("@")[0].partition("_per_")
-    words, _, unit = above.rpartition("_")
-    if per:
-        return f"{UNITS.get(unit, unit)}/{UNITS.get(below, below)}"
-    return UNITS.get(unit, unit) if words else ""
+    return UNITS.get(_ending(name.partition("@")[0]), "")
+
+
+def _ending(quantity: str) -> str:
+    """The end of a name that is its unit, empty where it has none."""
+    last = quantity.rpartition(".")[2]
+    return next((x for x in UNITS if f"_{last}".endswith(f"_{x}")), "")
+
+
+def _before_unit(quantity: str) -> str:
+    return quantity.removesuffix(_ending(quantity)).removesuffix("_")
 
 
 def label_without_unit(name: str) -> str:
@@ -153,8 +146,8 @@ def label_without_unit(name: str) -> str:
     'meniscal wedge medial stiffness'
     """
     quantity, at, trial = name.partition("@")
-    above = quantity.partition("_per_")[0]
-    words = contact_words(quantity) or _plain(quantity, above.rpartition("_")[0] or quantity)
+    plain = _before_unit(quantity).replace(".", " ").replace("_", " ")
+    words = contact_words(quantity) or MOTIONS.get(quantity) or plain
     return f"{words} in {trial}" if at else words
 
 

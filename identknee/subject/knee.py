@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused, suggestion
+from identknee.runs.words import amount, unit_of
 from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
 from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits
 from identknee.subject.surface import Surface
@@ -135,7 +136,7 @@ class Uncertainty:
                 if name != "insertions_normal_mm":
                     found[name] = "exact"
             else:
-                sized = f"{value:g} {_unit(name)}".strip()
+                sized = f"{value:g} {unit_of(name)}".strip()
                 found[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
         return found
 
@@ -261,17 +262,13 @@ def _known(name: str) -> str:
     return suggestion(name, list(parts))
 
 
-def _unit(name: str) -> str:
-    return next((x for x in ("mm", "deg") if name.endswith(f"_{x}")), "")
-
-
 def _checked(name: str, value: object) -> float:
-    most = LARGEST[_unit(name)]
+    unit = unit_of(name)
+    most = LARGEST[unit]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
-        unit = f" {_unit(name)}" if _unit(name) else ""
         raise ValueError(
-            f"the uncertainty {name} must be a standard deviation of 0 to {most:g}{unit}, got "
-            f"{value!r}"
+            f"the uncertainty {name} must be a standard deviation of 0 to {amount(most, unit)}, "
+            f"got {value!r}"
         )
     return float(value)
 

@@ -8,7 +8,7 @@ from common.page import table
 
 import identknee as ik
 from identknee.model.effects.facts import cause_label
-from identknee.runs.words import amplitude_label, label
+from identknee.runs.words import label
 
 PAPER = "the paper's model"
 PUBLISHED = "as printed (0.4 to 4.6)"
@@ -175,7 +175,7 @@ def visible_table(record: Row) -> ik.report.Table:
     rows = tuple(
         (
             cause_label(name),
-            amplitude_label(y["parameter"]),
+            label(y["parameter"]),
             f"{y['relevant']:g}",
             *(_detectable(x[name]["detectable"]) for x in found.values()),
             *(_detectable(x[name]["power"]) for x in found.values()),

@@ -38,7 +38,6 @@ from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.words import (
     amount,
-    amplitude_label,
     coordinate_words,
     error_words,
     label,
@@ -109,7 +108,7 @@ def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
     # What is plausible is known of a cause's size, which is its first amplitude.
     rows = tuple(
         (
-            f"{cause_label(cause.name)}, {amplitude_label(name)}",
+            f"{cause_label(cause.name)}, {label(name)}",
             x.value,
             *map(_end, x.ci95),
             cause.source if k == 0 else "",

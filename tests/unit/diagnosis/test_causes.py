@@ -12,19 +12,19 @@ from identknee.diagnosis.verdict import (
     Estimate,
     ligament_estimates,
 )
-from identknee.model.effects.effect import unit_of
 from identknee.model.effects.library import library
 from identknee.report.answers.diagnose import size_words
+from identknee.runs.words import unit_of
 from identknee.subject.knee import Knee
 
-UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/mm3", "N/N·m", "deg/N·m", "1"}
+UNITS = {"kN", "%", "mm", "deg", "N", "N·m", "N/mm", "N/mm3", "N/N·m", "deg/N·m", ""}
 
 
 def test_every_amplitude_of_the_library_has_its_unit(reference: Knee) -> None:
     effects = library(reference, has_order=True, has_phase=True)
     units = {name: unit_of(name) for x in effects for name in x.parameters.names}
     assert set(units.values()) <= UNITS
-    plain = {name.partition(".")[2] for name, unit in units.items() if unit == "1"}
+    plain = {name.partition(".")[2] for name, unit in units.items() if not unit}
     assert plain == {"gain", "ln_modulus", "exponent"}
 
 
