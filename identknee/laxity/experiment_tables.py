@@ -131,8 +131,9 @@ def _of_file(path: Path) -> Laxity:
             if part not in (*OF_RIG, *LOAD_CELL):
                 why = f"{part} does not belong to a rig"
                 known_parts = ", ".join((*OF_RIG, *LOAD_CELL))
-                remedy = f"Known are {known_parts}; state the others with the subject."
+                remedy = f"Its parts are {known_parts}; state the others with the subject."
                 raise InputError(path, f"{place} uncertainty", why, remedy)
+    noises = {name: _noise_of(path, name, rig.noise) for name, rig in stated.rigs.items()}
     mounted: dict[str, int] = {}
     tables = []
     for i, x in enumerate(stated.experiments, 1):
@@ -151,7 +152,7 @@ def _of_file(path: Path) -> Laxity:
                 side=x.side,
             )
             table = _in_state(read_laxity(path.parent / x.table), x.state)
-            tables.append((experiment, _with_noise(path, table, x.rig, rig.noise)))
+            tables.append((experiment, _with_noise(table, noises.get(x.rig))))
         except ValueRefused as error:
             raise InputError(path, place, error.why, error.advice) from None
     try:
@@ -233,15 +234,22 @@ def _in_state(laxity: Laxity, state: str) -> Laxity:
     return replace(laxity, protocol=replace(laxity.protocol, state=states))
 
 
-def _with_noise(path: Path, laxity: Laxity, rig: str, noise: str | None) -> Laxity:
-    """The table with the noise of its rig, where it states none itself."""
-    if noise is None or laxity.sd is not None:
-        return laxity
+def _noise_of(path: Path, rig: str, noise: str | None) -> Array | None:
+    """The noise that a rig states for each coordinate, shape ``(5,)``."""
+    if noise is None:
+        return None
     sizes = np.empty(5)
     try:
         sizes[TRANSLATIONS], sizes[ROTATIONS] = noise_sizes(noise, "noise")
     except ValueError as error:
         raise InputError(path, f"[rigs.{rig}]", str(error), "") from None
+    return sizes
+
+
+def _with_noise(laxity: Laxity, sizes: Array | None) -> Laxity:
+    """The table with the noise of its rig, where it states none itself."""
+    if sizes is None or laxity.sd is not None:
+        return laxity
     return replace(laxity, sd=np.where(laxity.is_measured, sizes, np.nan))
 
 

@@ -148,6 +148,10 @@ WRONG = {
     "the rig of no experiment": ("[rigs.other]\n", "other"),
     "an error of the knee": ("[rigs.rig.uncertainty]\ninsertions_mm = 2.0\n", "insertions_mm"),
     "no size of noise": ('[rigs.rig]\nnoise = "much"\n', "much"),
+    "no size of noise beside a table's own": (
+        '[[experiments]]\nname = "x"\ntable = "sd.csv"\nrig = "b"\n[rigs.b]\nnoise = "much"\n',
+        "much",
+    ),
     "an unknown word": ("[rigs.rig]\nnois = 1\n", "nois"),
     "one name twice": ('[[experiments]]\nname = "a"\ntable = "a.csv"\n', "two experiments"),
     "no table": ('[[experiments]]\nname = "x"\ntable = "none.csv"\n', "none.csv"),
