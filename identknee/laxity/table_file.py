@@ -749,7 +749,7 @@ def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: s
     if found is None:
         words = ", ".join(DEFINITIONS)
         file.refuse(
-            line, "", f"{stated!r} is not a definition of translations", f"Known are {words}."
+            line, "", f"{stated!r} is not a definition of translations", f"Choose one of {words}."
         )
     if found != COMPONENTS and zero != ABSOLUTE:
         why = f"translations as {found} can be read only where coordinates are absolute"

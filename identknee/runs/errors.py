@@ -79,14 +79,14 @@ def suggestion(word: str, known: Iterable[str], *, most: int | None = None) -> s
     >>> suggestion("varus", ["varus_deg", "internal_deg"])
     'Did you mean varus_deg?'
     >>> suggestion("speed", ["varus_deg", "internal_deg"])
-    'Known are varus_deg, internal_deg.'
+    'Known names: varus_deg, internal_deg.'
     """
     names = list(known)
     if close := closest(word, names):
         return f"Did you mean {close}?"
     shown = names[:most]
     more = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
-    return f"Known are {', '.join(shown)}{more}."
+    return f"Known names: {', '.join(shown)}{more}."
 
 
 def closest(word: str, known: Iterable[str]) -> str:

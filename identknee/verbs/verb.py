@@ -25,7 +25,7 @@ from identknee.laxity.protocol import BUILT_IN, Protocol
 from identknee.laxity.table import TABLE_FILES, Laxity, check_is_table, read_laxity
 from identknee.model.effects.effect import MechanicalEffect, ObservationEffect
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.errors import ValueRefused, closest
+from identknee.runs.errors import ValueRefused, closest, suggestion
 from identknee.runs.executors import Executor, Workers, executor_of, one_library_thread
 from identknee.runs.files import digest, prepare_folder
 from identknee.runs.findings import Finding, without_repeats
@@ -117,9 +117,7 @@ def _bound(function: Callable[..., Any], called: Any, args: Any, kwargs: Any) ->
         for other in kwargs:
             if other not in known:
                 close = closest(other, flags)
-                remedy = (
-                    f"Did you mean {flags[close]}?" if close else f"Known are {', '.join(known)}."
-                )
+                remedy = f"Did you mean {flags[close]}?" if close else suggestion(other, known)
                 raise TypeError(f"{name} has no argument {other}. {remedy}") from None
         if len(args) > len(placed):
             said = f"takes {' and '.join(placed) or 'nothing'} by place alone; name all others"

@@ -296,7 +296,7 @@ class Ensembles:
             raise ValueError(f"n_prior must be a multiple of {PRIOR_CHUNK}, got {self.n_prior}")
         if self.moves is not None and self.moves not in (*MOVES, "surrogate"):
             known = ", ".join(sorted((*MOVES, "surrogate")))
-            raise ValueError(f"there are no moves {self.moves!r}; known are {known}")
+            raise ValueError(f"there are no moves {self.moves!r}; choose one of {known}")
 
     def moves_for(self, n: int) -> str:
         """The moves for so many parameters."""
