@@ -25,7 +25,7 @@ from identknee.model.effects.effect import (
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.insertion import AXES, insertion
+from identknee.model.effects.insertion import insertion
 from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
@@ -34,7 +34,7 @@ from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
-from identknee.subject.knee import BONES, Knee
+from identknee.subject.knee import AXES, BONES, Knee
 from identknee.subject.surface import Surface
 
 # Radius of the patch over which a surface normal is averaged, about the size of an insertion [mm].

@@ -250,7 +250,7 @@ _FULL = (
     "the disk is full",
     "Free some space or write to another disk; nothing half-written was left.",
 )
-_FORBIDDEN = (
+FORBIDDEN = (
     "it may not be written to ({})",
     "Choose another folder with --out, or change the permissions.",
 )
@@ -259,7 +259,7 @@ _MIXED_UP = "a file and a folder are mixed up in this path ({})", "Choose anothe
 _UNWRITABLE = {
     errno.ENOSPC: _FULL,
     errno.EDQUOT: _FULL,
-    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _FORBIDDEN),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), FORBIDDEN),
     errno.ENOENT: ("its folder does not exist", "Make the folder first or choose another."),
     errno.EISDIR: _MIXED_UP,
     errno.ENOTDIR: _MIXED_UP,

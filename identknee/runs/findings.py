@@ -5,6 +5,7 @@ from enum import Enum, unique
 from typing import Any, TypeVar
 
 from identknee.runs.declare import declared, entry
+from identknee.runs.files import plain
 
 MULTIPLY = "If these are metres, multiply by 1000."
 DIVIDE = "If this is N per unit strain, divide by 1000."
@@ -795,7 +796,7 @@ ligaments. Check that the columns of loads are there.'
     kind = KINDS.get(code)
     if kind is None:
         raise ValueError(f"there is no finding {code!r}; register it in findings.py")
-    given = {name: _plain(x) for name, x in (values or {}).items()}
+    given = plain(values or {}, keep_nonfinite=True)
     return Finding(
         code=code,
         severity=severity or kind.severity,
@@ -840,10 +841,3 @@ def doubt_of(findings: Iterable[Finding]) -> Doubt | None:
 def invalidating(findings: Iterable[Finding]) -> str:
     """Why nothing was computed, or nothing computed holds; empty where no finding says so."""
     return next((x.sentence for x in findings if x.kind.invalidates), "")
-
-
-def _plain(value: Any) -> Any:
-    """A value as JSON has it: numpy's numbers and arrays as those of Python, tuples as lists."""
-    if isinstance(value, tuple | list):
-        return [_plain(x) for x in value]
-    return value.tolist() if hasattr(value, "tolist") else value

@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from identknee.runs.errors import InputError
 from identknee.runs.executors import Executor, WorkerTerminated, serial
-from identknee.runs.files import PathLike, digest, plain, prepare_folder
+from identknee.runs.files import FORBIDDEN, PathLike, digest, plain, prepare_folder
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import versions
 
@@ -24,10 +24,6 @@ _IN_USE = (
     "Wait for it to end, or choose another folder with --out.",
 )
 _DAMAGED = ("this is not a store of finished work, or it is damaged ({})", _ANEW)
-_FORBIDDEN = (
-    "it may not be written to ({})",
-    "Choose another folder with --out, or change the permissions.",
-)
 # What went wrong, and the remedy, by SQLite's code.
 _EXPLANATIONS = {
     sqlite3.SQLITE_FULL: (
@@ -38,9 +34,9 @@ _EXPLANATIONS = {
     sqlite3.SQLITE_LOCKED: _IN_USE,
     sqlite3.SQLITE_NOTADB: _DAMAGED,
     sqlite3.SQLITE_CORRUPT: _DAMAGED,
-    sqlite3.SQLITE_READONLY: _FORBIDDEN,
-    sqlite3.SQLITE_CANTOPEN: _FORBIDDEN,
-    sqlite3.SQLITE_PERM: _FORBIDDEN,
+    sqlite3.SQLITE_READONLY: FORBIDDEN,
+    sqlite3.SQLITE_CANTOPEN: FORBIDDEN,
+    sqlite3.SQLITE_PERM: FORBIDDEN,
 }
 
 

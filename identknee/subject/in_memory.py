@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from identknee.runs.errors import InputError
+from identknee.runs.schema import plain_value
+from identknee.subject.knee import AXES, BONES
 from identknee.subject.surface import Surface, read_surface, surface_of
 
 # What messages call it, in place of a file.
 NAME = "subject in memory"
-BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 INSERTIONS = tuple(f"{bone}_{axis}_mm" for bone in BONES for axis in AXES)
 NUMBERS = ("stiffness_kN", "reference_strain_pct")
 # Keys that may hold meshes or a data frame, which are not plain values.
@@ -35,20 +36,16 @@ def taken_apart(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Sur
     InputError
         If a surface or the data frame of ligaments cannot be used.
     """
-    values = {str(key): _plain(x) for key, x in given.items() if key not in _OWN}
+    values = {str(key): plain_value(x) for key, x in given.items() if key not in _OWN}
     surfaces: dict[str, Surface] = {}
     if "surfaces" in given:
-        meshes = given["surfaces"]
-        values["surfaces"] = {str(x): str(x) for x in meshes} if _is_table(meshes) else meshes
-        if _is_table(meshes):
+        values["surfaces"] = meshes = given["surfaces"]
+        if isinstance(meshes, Mapping):
+            values["surfaces"] = {str(x): str(x) for x in meshes}
             surfaces = {str(name): _surface(mesh, str(name)) for name, mesh in meshes.items()}
     if "ligaments" in given:
         values["ligaments"] = _ligaments(given["ligaments"])
     return {"format": 1, **values}, surfaces
-
-
-def _is_table(given: object) -> bool:
-    return isinstance(given, Mapping)
 
 
 def _surface(mesh: Any, name: str) -> Surface:
@@ -74,7 +71,7 @@ def _surface(mesh: Any, name: str) -> Surface:
 def _ligaments(given: Any) -> Any:
     """Rows of a data frame as tables of ligaments; anything else as it is."""
     if not all(hasattr(given, x) for x in ("columns", "reset_index", "to_dict")):
-        return _plain(given)
+        return plain_value(given)
     frame = given if "name" in given.columns else given.reset_index(names="name")
     known = ("name", *INSERTIONS, *NUMBERS)
     for column in known:
@@ -93,14 +90,3 @@ def _ligaments(given: Any) -> Any:
         }
         for row in frame.to_dict("records")
     ]
-
-
-def _plain(given: Any) -> Any:
-    """Arrays and numbers of numpy as lists and numbers of Python, also within tables."""
-    if isinstance(given, np.ndarray | np.generic):
-        return given.tolist()
-    if isinstance(given, Mapping):
-        return {str(key): _plain(x) for key, x in given.items()}
-    if isinstance(given, list | tuple):
-        return [_plain(x) for x in given]
-    return given

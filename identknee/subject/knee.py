@@ -17,7 +17,7 @@ from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
 from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits
 from identknee.subject.surface import Surface
 
-BONES = ("femur", "tibia")
+BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
 # A standard deviation in mm of every axis, or a covariance in mm^2 along the axes of the bone.
 Spread = float | tuple[tuple[float, float, float], ...]
 Spreads = Mapping[str, Mapping[str, Spread]]

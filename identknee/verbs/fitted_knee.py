@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.checks.usable_trials import table_model
-from identknee.model.effects.insertion import AXES
 from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameter_groups import tied
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.arrays import Array
-from identknee.subject.knee import BONES, EffectChoice, Knee, with_stated_uncertainty
+from identknee.subject.knee import AXES, BONES, EffectChoice, Knee, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import knee_digest
 

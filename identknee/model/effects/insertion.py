@@ -15,10 +15,9 @@ from identknee.model.effects.effect import (
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
-from identknee.subject.knee import BONES, Knee
+from identknee.subject.knee import AXES, BONES, Knee
 
 SHIFT_SD, SHIFT_LIMIT = 2.0, 8.0  # mm
-AXES = ("x", "y", "z")
 
 
 def insertion(knee: Knee) -> InputsChange:

@@ -13,13 +13,13 @@ from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs, w
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.runs.arrays import Array
 from identknee.runs.declare import array, declared, entry
-from identknee.subject.knee import Knee, Points
+from identknee.subject.knee import AXES, BONES, Knee, Points
+from identknee.subject.menisci import SIDES
 
 SITE_SD = 4.0  # standard deviation of insertions around their anatomical sites [mm]
 SITE_SDS = 3.0  # bound of a shift, in these standard deviations
 SITE_STEP = 1e-4  # of central differences [mm]
-AXES = ("x", "y", "z")
-SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in ("femur", "tibia") for axis in AXES)
+SHIFTS = tuple(f"{bone}_{axis}_mm" for bone in BONES for axis in AXES)
 
 
 @declared
@@ -127,9 +127,6 @@ def structure_at(
         stiffness_sd=stiffness_sd,
         sites_vary=sites_vary,
     )
-
-
-SIDES = ("medial", "lateral")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

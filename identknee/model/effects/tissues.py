@@ -13,13 +13,12 @@ from identknee.model.effects.effect import (
     effect_of,
     with_remeasured_lengths,
 )
-from identknee.model.effects.insertion import AXES
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import array, declared, entry
 from identknee.subject.anatomy import anatomy
-from identknee.subject.knee import BONES, Knee
+from identknee.subject.knee import AXES, BONES, Knee
 from identknee.subject.menisci import MENISCI, MOST_OFFSET, MOST_STIFFNESS, SIDES
 
 CONTACT_LAW = "contact_law"
