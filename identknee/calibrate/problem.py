@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular, svd
+from typing_extensions import override
 
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
@@ -84,6 +85,32 @@ class Problem(Protocol):
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, shape ``(m, n)``; asked only where residuals are finite."""
+
+
+@declared
+class ProblemAround:
+    """A problem made from another one; what a kind of it does not change is that of the other.
+
+    Attributes
+    ----------
+    problem
+        The other problem.
+    """
+
+    problem: Problem
+
+    @property
+    def parameters(self) -> Parameters:
+        """Those of the problem."""
+        return self.problem.parameters
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals of the problem, shape ``(m,)``."""
+        return self.problem.residuals(theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Their derivatives, shape ``(m, n)``."""
+        return self.problem.jacobian(theta)
 
 
 @declared
@@ -177,49 +204,41 @@ def innermost(problem: Problem) -> Problem:
 
 
 @declared
-class SelectedResiduals:
+class SelectedResiduals(ProblemAround):
     """Some of the residuals of a problem."""
 
-    problem: Problem
     rows: IntArray
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """The residuals chosen, shape ``(k,)``."""
         return np.asarray(self.problem.residuals(theta)[self.rows])
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives, shape ``(k, n)``."""
         return np.asarray(self.problem.jacobian(theta)[self.rows])
 
 
 @declared
-class WhitenedResiduals:
+class WhitenedResiduals(ProblemAround):
     """A problem whose residuals are divided by the standard deviation of their noise."""
 
-    problem: Problem
     sd: Array = array("Standard deviation of every residual", "residual")
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Residuals in units of their noise, shape ``(m,)``."""
         return np.asarray(self.problem.residuals(theta) / self.sd)
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives, shape ``(m, n)``."""
         return np.asarray(self.problem.jacobian(theta) / self.sd[:, None])
 
 
 @declared
-class ProblemWithPriors:
+class ProblemWithPriors(ProblemAround):
     """A problem with one more residual for each prior: a parameter's distance from its centre.
 
     The residual is ``(theta - center) / sd`` for a normal prior and
@@ -235,13 +254,7 @@ class ProblemWithPriors:
         Which parameters have a residual for their prior, shape ``(n,)``; all if None.
     """
 
-    problem: Problem
     has_prior: BoolArray | None = None
-
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
 
     @property
     def places(self) -> IntArray:
@@ -250,6 +263,7 @@ class ProblemWithPriors:
             return np.arange(self.parameters.n)
         return np.flatnonzero(self.has_prior)
 
+    @override
     def residuals(self, theta: Array) -> Array:
         """Residuals of the problem, then those of the priors, shape ``(m + k,)``.
 
@@ -264,6 +278,7 @@ class ProblemWithPriors:
         rows[is_log] = np.log(values[is_log] / center[places][is_log])
         return np.concatenate([data, rows / parameters.prior_sd[places]])
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of residuals and prior rows by theta, shape ``(m + k, n)``."""
         parameters, places = self.parameters, self.places

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.special import chdtrc
+from typing_extensions import override
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
 from identknee.calibrate.fit import Fit, fit
@@ -16,6 +17,7 @@ from identknee.calibrate.problem import (
     Evaluator,
     EvidenceTerm,
     Problem,
+    ProblemAround,
     ProblemWithPriors,
     SumOfTerms,
     evidence_terms,
@@ -90,44 +92,37 @@ LOW_LOADS = 0.5
 
 
 @declared
-class WhitenedProblem:
-    """Residuals of a model whitened by a noise model, which may correlate trials."""
+class WhitenedProblem(ProblemAround):
+    """Model and data compared in mm and deg, whitened by a noise model."""
 
-    compared: LaxityResiduals = entry("Model and data, compared in mm and deg")
     noise: NoiseModel = entry("The errors of the measured values")
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the model."""
-        return self.compared.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Predicted less measured, whitened, shape ``(m,)``; infinite without a prediction."""
-        residuals = self.compared.residuals(theta)
+        residuals = self.problem.residuals(theta)
         return self.noise.whiten(residuals) if np.isfinite(residuals).all() else residuals
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m, p)``."""
-        return self.noise.whiten(self.compared.jacobian(theta))
+        return self.noise.whiten(self.problem.jacobian(theta))
 
 
 @declared
-class ProblemWithForces:
+class ProblemWithForces(ProblemAround):
     """Residuals of a table, whitened, and of forces given these: nuisances are common to both."""
 
     problem: SumOfTerms = entry("The table, whitened, then forces in units of their own errors")
     noise: NoiseModel = entry("The errors of the table, and its nuisances")
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the model."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Predicted less measured, whitened, shape ``(m + f,)``; infinite without a prediction."""
         residuals = self.problem.residuals(theta)
         return self._whitened(residuals) if np.isfinite(residuals).all() else residuals
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m + f, p)``."""
         return self._whitened(self.problem.jacobian(theta))
@@ -140,7 +135,7 @@ class ProblemWithForces:
 def whitened_problem(model: LaxityModel, laxity: Laxity, noise: NoiseModel) -> ProblemWithPriors:
     """The problem of fitting the model to the data, the priors of all parameters included."""
     compared = LaxityResiduals(model=model, laxity=laxity)
-    table = WhitenedProblem(compared=compared, noise=noise)
+    table = WhitenedProblem(problem=compared, noise=noise)
     forces = force_terms(compared.model, laxity)
     if not forces:
         return ProblemWithPriors(problem=table)

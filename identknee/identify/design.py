@@ -15,10 +15,12 @@ from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.problem import (
     ParameterQuantity,
     Problem,
+    ProblemAround,
     Quantity,
     restricted,
     with_priors_of,
@@ -226,7 +228,7 @@ def _widths(width: WidthLoss, features: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MarginalProblem:
+class MarginalProblem(ProblemAround):
     """A problem whose nuisances, linear in the residuals, are marginalised.
 
     Attributes
@@ -239,7 +241,6 @@ class MarginalProblem:
         Middle of the priors less the best fit, in prior standard deviations, shape ``(e,)``.
     """
 
-    problem: Problem
     slopes: Array
     offset: Array
     _whitening: Array = field(init=False, repr=False)
@@ -247,11 +248,7 @@ class MarginalProblem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_whitening", whitening(self.slopes))
 
-    @property
-    def parameters(self) -> Parameters:
-        """The parameters of interest."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Residuals at the prior means of the nuisances, whitened, shape ``(m,)``."""
         residuals = self.problem.residuals(theta)
@@ -259,6 +256,7 @@ class MarginalProblem:
             return residuals
         return self.whitened(residuals + self.slopes @ self.offset)
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals by theta, shape ``(m, n)``."""
         return self.whitened(self.problem.jacobian(theta))

@@ -11,11 +11,11 @@ from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
+from typing_extensions import override
 
-from identknee.calibrate.problem import Problem, Quantity, evaluate
+from identknee.calibrate.problem import Problem, ProblemAround, Quantity, evaluate
 from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import Profile
-from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor
@@ -292,7 +292,7 @@ class SeveralCandidates:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WithTrials:
+class WithTrials(ProblemAround):
     """A problem with the residuals of added trials.
 
     Attributes
@@ -307,17 +307,12 @@ class WithTrials:
         What they measured, in units of their noise, shape ``(k, m)``.
     """
 
-    problem: Problem
     candidates: CandidateTrials
     chosen: tuple[int, ...]
     measured: Array
     _last: dict[bytes, Array] = field(init=False, repr=False, default_factory=dict)
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Those of the problem, then those of the added trials; all infinite if any is."""
         made = self.problem.residuals(theta)
@@ -329,6 +324,7 @@ class WithTrials:
         self._last[theta.tobytes()] = jacobians.reshape(added.size, -1)
         return np.concatenate([made, added])
 
+    @override
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals by theta, shape ``(m, n)``."""
         added = self._last.get(theta.tobytes())

@@ -8,16 +8,16 @@ from typing import Annotated, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from identknee.calibrate.fit import Fit, fit_many, load_start
-from identknee.calibrate.problem import Problem
+from identknee.calibrate.problem import Problem, ProblemAround
 from identknee.identify.optimum import best_fit
 from identknee.identify.profile.profile import profile_parameters
 from identknee.identify.profile.result import Profile
 from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise, laxity_rmse, write_laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
@@ -148,23 +148,16 @@ class Demonstration(SimulatedLaxity):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _InterruptibleProblem:
+class _InterruptibleProblem(ProblemAround):
     """A problem that ends its fits on request, so that Ctrl-C does not wait for threads."""
 
-    problem: Problem
     is_stopped: threading.Event = field(default_factory=threading.Event)
 
-    @property
-    def parameters(self) -> Parameters:
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         if self.is_stopped.is_set():
             raise KeyboardInterrupt
         return self.problem.residuals(theta)
-
-    def jacobian(self, theta: Array) -> Array:
-        return self.problem.jacobian(theta)
 
 
 @verb

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from typing_extensions import override
 
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
-from identknee.calibrate.problem import Evaluator, Problem, Quantity
-from identknee.model.parameters import Parameters
+from identknee.calibrate.problem import Evaluator, Problem, ProblemAround, Quantity
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
@@ -164,7 +163,7 @@ class BootstrapStatistics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ResimulatedProblem:
+class ResimulatedProblem(ProblemAround):
     """A problem with data simulated at one parameter set.
 
     Attributes
@@ -175,21 +174,12 @@ class ResimulatedProblem:
         What is subtracted from its residuals, shape ``(m,)``.
     """
 
-    problem: Problem
     shift: Array
 
-    @property
-    def parameters(self) -> Parameters:
-        """Those of the problem."""
-        return self.problem.parameters
-
+    @override
     def residuals(self, theta: Array) -> Array:
         """Residuals against the new data, shape ``(m,)``."""
         return np.asarray(self.problem.residuals(theta) - self.shift)
-
-    def jacobian(self, theta: Array) -> Array:
-        """Their derivatives, shape ``(m, n)``."""
-        return self.problem.jacobian(theta)
 
 
 def resimulated(problem: Problem, truth: Array, seed: np.random.SeedSequence) -> ResimulatedProblem:
