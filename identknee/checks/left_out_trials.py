@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.checks.ambiguous_translations import translations_findings
-from identknee.checks.replicates_apart import replicates_findings
+from identknee.checks.data_noise import replicates_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,
     suspicious_end_points,

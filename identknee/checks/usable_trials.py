@@ -28,7 +28,7 @@ from identknee.laxity.protocol import from_zero
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.mechanics.equilibria import NEAR, Continuation
 from identknee.mechanics.memory import ROTATION_SCALE
-from identknee.model.force_residuals import ForceResiduals
+from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals, weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG, known_poses, strains_as_measured
@@ -40,7 +40,6 @@ from identknee.model.residuals import (
     has_shared_errors,
     shared_errors,
 )
-from identknee.model.superposition_residuals import SuperpositionResiduals, weighed
 from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding

@@ -10,7 +10,7 @@ from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect, amplitudes
 from identknee.model.effects.loads import LoadError
 from identknee.model.effects.tissues import toe_strain
-from identknee.model.force_residuals import ForceResiduals
+from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances import flexion
 from identknee.model.residuals import (
@@ -20,7 +20,6 @@ from identknee.model.residuals import (
     shared_errors,
     surface_gradients,
 )
-from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import declared, entry
 

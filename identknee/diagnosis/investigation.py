@@ -52,9 +52,9 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import library
 from identknee.model.experiments import causes_in_experiments
+from identknee.model.force_residuals import weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import MissingWrench, missing_wrench
-from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, Severity, finding

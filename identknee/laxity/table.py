@@ -38,8 +38,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
-from identknee.laxity.radians import is_in_radians
-from identknee.laxity.spreadsheets import A_DATE, is_day
+from identknee.laxity.spreadsheets import A_DATE, is_day, is_in_radians
 from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,

@@ -30,9 +30,9 @@ from identknee.laxity.protocol import (
     Protocol,
     zero_fault,
 )
-from identknee.laxity.radians import DEG
 from identknee.laxity.spreadsheets import (
     COUNT,
+    DEG,
     NAMELESS,
     THOUSAND,
     header_below,

@@ -20,10 +20,9 @@ from identknee.report.presenter import Source, of_type, presenter_of, settings_o
 from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_QUANTITY, array, declared, derived, entry
 from identknee.runs.words import amount, interval, listed, unit_of
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import IN_WORDS, Answer, Question
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
-from identknee.verbs.question import IN_WORDS, Question
 from identknee.verbs.registry import verbs_with_answer
 from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation

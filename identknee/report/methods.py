@@ -8,8 +8,7 @@ from typing import Any
 from identknee.report.presenter import presenter_of
 from identknee.runs.record import Record
 from identknee.runs.words import listed, parameter_words
-from identknee.verbs.answer import Answer
-from identknee.verbs.question import Question
+from identknee.verbs.answer import Answer, Question
 from identknee.verbs.registry import verb_named
 
 DIGITS = 12  # of a digest

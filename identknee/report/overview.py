@@ -36,10 +36,9 @@ from identknee.runs.words import (
     parameter_words,
     unit_of,
 )
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, Question
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
-from identknee.verbs.question import Question
 from identknee.verbs.sweep import Sweep
 
 # Share of a set's width: ends that differ by less count as equal.

@@ -53,7 +53,7 @@ from identknee.runs.errors import suggestion
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import (
     Identification,
     best_fits,
@@ -61,7 +61,6 @@ from identknee.verbs.identification import (
     with_noise,
 )
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.question import has_priors
 from identknee.verbs.values import NoiseLike
 from identknee.verbs.verb import Run, verb
 

@@ -69,7 +69,7 @@ from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.insertion_sites import PlaceSide
 from identknee.subject.knee import EffectChoice, Knee
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import with_noise
 from identknee.verbs.options import (
     Candidates,
@@ -81,7 +81,6 @@ from identknee.verbs.options import (
     Seed,
     Subject,
 )
-from identknee.verbs.question import has_priors
 from identknee.verbs.values import AdvisedTrial, NoiseLike, Trials, advised, trials_of
 from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 

@@ -20,11 +20,10 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
 from identknee.runs.progress import planned
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import Identification, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.question import has_priors
 from identknee.verbs.values import BoundsLike, bounds_of, check_word
 from identknee.verbs.verb import Run, verb
 

@@ -34,6 +34,7 @@ from identknee.checks.fit_checks import (
     APART,
     AS_GOOD,
     Fitted,
+    agreement_findings,
     bound_findings,
     check_fit,
     check_unfitted,
@@ -41,13 +42,13 @@ from identknee.checks.fit_checks import (
     idle_parameters,
     misfit_findings,
     start_findings,
+    term_agreement,
     too_few_findings,
     unstated_misfit_findings,
 )
 from identknee.checks.left_out_trials import named_trials
 from identknee.checks.limit_price import PlausibilityPrice, plausibility_price
 from identknee.checks.missing_restraint import missing_restraint_findings
-from identknee.checks.term_agreement import agreement_findings, term_agreement
 from identknee.checks.usable_trials import (
     TrialSearch,
     TrialSelection,
@@ -99,9 +100,9 @@ from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.plausibility import limit_sentences
 from identknee.verbs import options
+from identknee.verbs.answer import has_priors
 from identknee.verbs.identification import BRIEF, with_noise
 from identknee.verbs.options import option
-from identknee.verbs.question import has_priors
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
 from identknee.verbs.values import bounds_of, by_ligament, check_word
 from identknee.verbs.verb import Run, verb, warm_up

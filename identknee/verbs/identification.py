@@ -52,10 +52,10 @@ from identknee.identify.optimum import (
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.discrepancy import SmoothDiscrepancy, smooth_discrepancy
+from identknee.model.force_residuals import weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
-from identknee.model.superposition_residuals import weighed
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import NotComputable

@@ -14,11 +14,10 @@ from identknee.identify.information import (
 from identknee.identify.information import information as fisher_information
 from identknee.runs.declare import declared, derived, entry
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option
-from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 

@@ -19,11 +19,10 @@ from identknee.calibrate.problem import (
 from identknee.checks.usable_trials import residuals_of
 from identknee.identify.design import MarginalProblem
 from identknee.model.effects.effect import with_fixed_amplitudes
-from identknee.model.force_residuals import ForceResiduals
+from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
-from identknee.model.superposition_residuals import SuperpositionResiduals
 from identknee.runs.arrays import Array
 from identknee.runs.executors import Executor
 from identknee.verbs.identification import Identification, best_fits

@@ -33,10 +33,9 @@ from identknee.runs.arrays import Array
 from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
 from identknee.runs.findings import Doubt, Finding
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import Identification, best_fits, identification
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, verb
 
 Pair = str | tuple[str, str]

@@ -40,7 +40,7 @@ from identknee.runs.declare import (
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import (
     Identification,
     best_fits,
@@ -48,7 +48,6 @@ from identknee.verbs.identification import (
     no_prediction_finding,
 )
 from identknee.verbs.options import option
-from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 N_PREDICTIONS = 400

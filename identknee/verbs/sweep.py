@@ -27,7 +27,7 @@ from identknee.runs.declare import array, declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import (
     Identification,
     best_fits,
@@ -35,7 +35,6 @@ from identknee.verbs.identification import (
     no_prediction_finding,
 )
 from identknee.verbs.options import option
-from identknee.verbs.question import has_priors
 from identknee.verbs.verb import Run, not_resume_relevant, verb
 
 Design = Literal["sobol", "shells"]

@@ -38,9 +38,8 @@ from identknee.subject.folder import FILE, read_subject
 from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
 from identknee.subject.plausibility import Limit
 from identknee.verbs import options
-from identknee.verbs.answer import Answer
+from identknee.verbs.answer import Answer, question
 from identknee.verbs.options import IN_FULL, explained, option_of, parameters_in_full
-from identknee.verbs.question import question
 from identknee.verbs.values import noise_of, noise_words
 
 SUBJECT, DATA, PROTOCOL = "subject", "data", "protocol"

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.model.force_residuals import structure_wrenches
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.superposition_residuals import structure_wrenches
 from identknee.runs.arrays import Array
 
 SD_N, SD_NM = 5.0, 0.2

@@ -143,7 +143,7 @@ def _band(
 
 def compared_forces_drawing(forces: ComparedForces) -> Drawing:
     """The figure of measured forces beside those predicted."""
-    from identknee.report.force_figures import compared_forces_figure
+    from identknee.report.laxity_figures import compared_forces_figure
 
     kinds = list(dict.fromkeys(map(label, forces.names)))
     return Drawing(
@@ -157,7 +157,7 @@ def compared_forces_drawing(forces: ComparedForces) -> Drawing:
 
 def plausibility_drawing(price: PlausibilityPrice) -> Drawing:
     """The figure of what a fit has at each limit, with limits and without."""
-    from identknee.report.force_figures import plausibility_figure
+    from identknee.report.laxity_figures import plausibility_figure
 
     return Drawing(
         name="plausibility",

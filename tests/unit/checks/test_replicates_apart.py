@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from identknee.checks.data_noise import replicates_findings
 from identknee.checks.left_out_trials import trials_asked
-from identknee.checks.replicates_apart import replicates_findings
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identknee.checks.left_out_trials import trials_asked
-from identknee.laxity.radians import is_in_radians
+from identknee.laxity.spreadsheets import is_in_radians
 from identknee.laxity.table import COORDINATES, Laxity, read_laxity
 from identknee.laxity.table_file import (
     coordinate_turns,

@@ -11,9 +11,9 @@ from slow_cases import some_slow
 import identknee as ik
 from identknee.laxity.protocol import Protocol
 from identknee.model.effects.library import effect_named
+from identknee.model.force_residuals import StructureWrenches, structure_wrenches
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_values
-from identknee.model.superposition_residuals import StructureWrenches, structure_wrenches
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 

@@ -15,13 +15,13 @@ from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.superposition import Superposition
-from identknee.model.laxity_model import LaxityModel
-from identknee.model.residuals import LaxityResiduals
-from identknee.model.superposition_residuals import (
+from identknee.model.force_residuals import (
     SuperpositionResiduals,
     structure_wrenches,
     weighed,
 )
+from identknee.model.laxity_model import LaxityModel
+from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array
 from identknee.subject.knee import Uncertainty
 

@@ -5,7 +5,7 @@ from figure_checks import clipped, drawn, overlapping
 from matplotlib.container import ErrorbarContainer
 
 from identknee.checks.compared_forces import ComparedForces
-from identknee.report.force_figures import MOST_PANELS, MOST_TRIALS, compared_forces_figure
+from identknee.report.laxity_figures import MOST_PANELS, MOST_TRIALS, compared_forces_figure
 
 
 def _forces(kinds: list[str], n: int) -> ComparedForces:

@@ -13,8 +13,7 @@ import identknee as ik
 from identknee.report.methods import given_options
 from identknee.runs.files import plain
 from identknee.runs.schema import summary_of
-from identknee.verbs.answer import Answer
-from identknee.verbs.question import Question
+from identknee.verbs.answer import Answer, Question
 from identknee.verbs.registry import verbs
 
 RESULTS = Path(__file__).parents[2] / "fuzz" / "results"

@@ -5,7 +5,7 @@ import pytest
 
 from identknee.checks.limit_price import LimitPrice, PlausibilityPrice
 from identknee.model.limit_residuals import LimitAtFit
-from identknee.report.force_figures import MOST, plausibility_figure
+from identknee.report.laxity_figures import MOST, plausibility_figure
 
 
 def _price(name: str, form: str, value: float, size: float, without: float) -> LimitPrice:
