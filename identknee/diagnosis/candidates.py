@@ -25,10 +25,9 @@ from identknee.diagnosis.score import (
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.effect import OF, Effect
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import InsertionShift, moved_insertion
 from identknee.model.effects.readings import Remounting, remounting
 from identknee.model.effects.structures import MissingStructure, Structure
-from identknee.model.effects.tissues import LigamentBundles
+from identknee.model.effects.tissues import InsertionShift, LigamentBundles, moved_insertion
 from identknee.model.line_loads import added_line_tensions
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters

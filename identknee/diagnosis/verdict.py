@@ -29,9 +29,9 @@ from identknee.diagnosis.score import LEVEL, CandidateScore, Scores
 from identknee.identify.laplace import Interval, Laplace
 from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label, facts_of
-from identknee.model.effects.insertion import direction_words
 from identknee.model.effects.loads import LoadError
 from identknee.model.effects.structures import MissingStructure, Structure
+from identknee.model.effects.tissues import direction_words
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, derived, entry
 from identknee.runs.executors import Executor, serial

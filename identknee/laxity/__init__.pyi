@@ -1,6 +1,9 @@
 from .experiment_tables import read_experiments as read_experiments
 from .experiments import Experiment as Experiment
 from .forces import MeasuredForces as MeasuredForces
+from .forces import Superposition as Superposition
+from .forces import read_superposition as read_superposition
+from .forces import write_superposition as write_superposition
 from .protocol import LOADS as LOADS
 from .protocol import DominantLoads as DominantLoads
 from .protocol import candidate_trials as candidate_trials
@@ -10,9 +13,6 @@ from .protocol import nominal_flexion as nominal_flexion
 from .protocol import nominal_loads as nominal_loads
 from .protocol import opposite_pairs as opposite_pairs
 from .protocol import trial_name as trial_name
-from .superposition import Superposition as Superposition
-from .superposition import read_superposition as read_superposition
-from .superposition import write_superposition as write_superposition
 from .table import COORDINATES as COORDINATES
 from .table import ROTATIONS as ROTATIONS
 from .table import TRANSLATIONS as TRANSLATIONS

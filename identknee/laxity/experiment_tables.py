@@ -11,16 +11,16 @@ from pydantic import Field
 
 from identknee.laxity.data_frame import Frame
 from identknee.laxity.experiments import INTACT, LOAD_CELL, Experiment, cuts_of, state_words
-from identknee.laxity.forces import joined_forces
-from identknee.laxity.noise import noise_sizes
-from identknee.laxity.protocol import Protocol
-from identknee.laxity.superposition import (
+from identknee.laxity.forces import (
     Superposition,
     check_paths,
+    joined_forces,
     joined_superpositions,
     read_superposition,
     with_named_paths,
 )
+from identknee.laxity.noise import noise_sizes
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
 from identknee.runs.arrays import Array
 from identknee.runs.errors import InputError, ValueRefused

@@ -15,10 +15,13 @@ from identknee.laxity.experiments import cuts_of, state_words
 from identknee.laxity.forces import (
     SD,
     MeasuredForces,
+    Superposition,
+    check_paths,
     column_of,
     force_columns,
     is_beyond_noise,
     quantity_of,
+    write_superposition,
 )
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
@@ -39,7 +42,6 @@ from identknee.laxity.protocol import (
     zero_fault,
 )
 from identknee.laxity.spreadsheets import A_DATE, is_day, is_in_radians
-from identknee.laxity.superposition import Superposition, check_paths, write_superposition
 from identknee.laxity.table_file import (
     STATEMENT,
     SUFFIXES,

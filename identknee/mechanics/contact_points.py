@@ -6,8 +6,7 @@ from dataclasses import fields
 import numpy as np
 
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
-from identknee.mechanics.equilibria import ContactPoints
-from identknee.mechanics.menisci import NO_MENISCI, UNIT_LAW
+from identknee.mechanics.equilibria import NO_MENISCI, UNIT_LAW, ContactPoints
 from identknee.mechanics.pose import Placement, place, rotation_matrix
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import array, declared, entry

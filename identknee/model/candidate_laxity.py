@@ -9,6 +9,7 @@ from dataclasses import field, replace
 import numpy as np
 
 from identknee.laxity.experiments import INTACT, cuts_of
+from identknee.laxity.forces import state_with
 from identknee.laxity.protocol import (
     FLEXION_DEG,
     LOADS,
@@ -23,7 +24,6 @@ from identknee.laxity.protocol import (
     nominal_held_loads,
     zero_of_added_trials,
 )
-from identknee.laxity.superposition import state_with
 from identknee.laxity.table import Laxity
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.contact_loads import contact_jacobian, contact_values

@@ -12,8 +12,7 @@ from identknee.mechanics.contact_points import (
     meniscus_places,
 )
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
-from identknee.mechanics.equilibria import ContactPoints
-from identknee.mechanics.menisci import NO_MENISCI, UNIT_LAW
+from identknee.mechanics.equilibria import NO_MENISCI, UNIT_LAW, ContactPoints
 from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel, meniscus_geometry
 from identknee.model.mechanics_inputs import MechanicsInputs

@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from identknee.laxity.experiments import cuts_of
-from identknee.laxity.forces import MeasuredForces
-from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.forces import WRENCH, MeasuredForces, Superposition
 from identknee.laxity.table import Laxity
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import line_wrenches, twists_by_pose

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from identknee.model.effects.insertion import SHIFT_LIMIT, insertion
+from identknee.model.effects.tissues import SHIFT_LIMIT, insertion
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.runs.arrays import Array

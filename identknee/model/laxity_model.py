@@ -34,16 +34,17 @@ from identknee.mechanics.distance_field import (
     build_field,
 )
 from identknee.mechanics.equilibria import (
+    NO_MENISCI,
     ContactPoints,
     Continuation,
     LineLigaments,
     LoadPaths,
+    Menisci,
     load_paths,
     paths_of_release,
 )
 from identknee.mechanics.ligament_tensions import line_lengths, wrapped_lines
 from identknee.mechanics.memory import CONVERGED, NO_EQUILIBRIUM, Equilibria
-from identknee.mechanics.menisci import NO_MENISCI, Menisci
 from identknee.mechanics.mesh_contact import mesh_contact, mesh_equilibria
 from identknee.mechanics.pose import coordinate_jacobian, coordinates_from_pose, place, start_pose
 from identknee.model.effects.effect import Effect, EffectStack, TrialRecord, scope_of

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from identknee.laxity.superposition import WRENCH
+from identknee.laxity.forces import WRENCH
 from identknee.laxity.table import COORDINATES
 from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.ligament_tensions import line_lengths
@@ -25,10 +25,10 @@ from identknee.model.effects.effect import (
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.insertion import insertion
 from identknee.model.effects.library import effects_of
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
+from identknee.model.effects.tissues import insertion
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
 from identknee.runs.arrays import Array

@@ -160,7 +160,7 @@ PRESENTERS = {
     "Equivalents": "equivalents:EquivalentsPresenter",
     "GlobalSensitivity": "sensitivity:SensitivityPresenter",
     "Diagnosis": "diagnose:DiagnosisPresenter",
-    "Isolability": "isolability:IsolabilityPresenter",
+    "Isolability": "diagnose:IsolabilityPresenter",
     "Design": "design:DesignPresenter",
     "Comparison": "compare:ComparisonPresenter",
     "SubjectFacts": "subject:SubjectPresenter",

@@ -4,8 +4,8 @@ from .check import GeometryFinding as GeometryFinding
 from .knee import Frame as Frame
 from .ligament import Ligament as Ligament
 from .ligament import LigamentGroup as LigamentGroup
+from .ligament import Obstacle as Obstacle
 from .menisci import with_menisci as with_menisci
-from .obstacle import Obstacle as Obstacle
 from .opensim_export import write_opensim as write_opensim
 from .plausibility import Limit as Limit
 from .plausibility import default_limits as default_limits

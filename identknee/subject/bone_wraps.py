@@ -9,8 +9,7 @@ from identknee.mechanics.closest_point import mesh_distance
 from identknee.runs.arrays import Array
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
-from identknee.subject.obstacle import Obstacle, circle_through, way_over
+from identknee.subject.ligament import Ligament, Obstacle, circle_through, way_over
 from identknee.subject.surface import Surface
 
 # Length at each insertion over which a ligament lies on the bone and its depth does not count [mm].

@@ -21,8 +21,7 @@ from identknee.runs.words import capitalised
 from identknee.subject.check import fatal_geometry_findings
 from identknee.subject.examples import opensim_file
 from identknee.subject.knee import BONES, Frame, Knee, Landmark, Side
-from identknee.subject.ligament import Ligament, groups_by_name
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.ligament import Ligament, Obstacle, groups_by_name
 from identknee.subject.opensim_model import (
     MM_PER_M,
     Element,

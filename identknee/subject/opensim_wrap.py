@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from identknee.runs.arrays import Array
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import ValueRefused
-from identknee.subject.obstacle import Obstacle, circle_through, way_over
+from identknee.subject.ligament import Obstacle, circle_through, way_over
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform
 
 Bone = Literal["femur", "tibia"]

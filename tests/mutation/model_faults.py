@@ -113,7 +113,7 @@ PRIORS = (
         _SIZES,
     ),
     fault(
-        "identknee/model/effects/insertion.py",
+        "identknee/model/effects/tissues.py",
         "",
         "SHIFT_SD, SHIFT_LIMIT = (2.0, 8.0)",
         "SHIFT_SD, SHIFT_LIMIT = (6.0, 8.0)",
@@ -123,8 +123,8 @@ PRIORS = (
     fault(
         "identknee/model/effects/tissues.py",
         "",
-        "5.0",
-        "15.0",
+        "SPREAD_SD, SPREAD_LIMIT = (5.0, 30.0)",
+        "SPREAD_SD, SPREAD_LIMIT = (15.0, 30.0)",
         "bundles of one ligament have little in common",
         _SIZES,
     ),

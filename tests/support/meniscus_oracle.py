@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from energy_evaluation import femoral_places, field_values
 
-from identknee.mechanics.menisci import Menisci
+from identknee.mechanics.equilibria import Menisci
 from identknee.runs.arrays import Array
 
 ROUNDING = 0.15  # mm

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.laxity.superposition import WRENCH, Superposition
+from identknee.laxity.forces import WRENCH, Superposition
 from identknee.model.force_residuals import structure_wrenches
 from identknee.model.laxity_model import LaxityModel
 from identknee.runs.arrays import Array

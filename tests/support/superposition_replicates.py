@@ -10,7 +10,7 @@ from replayed_paths import in_situ_forces
 import identknee as ik
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
-from identknee.laxity.superposition import WRENCH
+from identknee.laxity.forces import WRENCH
 from identknee.model.laxity_model import LaxityModel
 from identknee.verbs.identification import identification
 

@@ -7,7 +7,7 @@ import numpy as np
 
 import identknee as ik
 from identknee.subject.knee import Knee
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.ligament import Obstacle
 
 OBSTACLES: Mapping[str, Obstacle] = {
     # The medial rim of the plateau, and the lateral epicondyle.

@@ -22,8 +22,7 @@ from identknee.runs.arrays import Array
 from identknee.subject.examples import opensim_file
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.ligament import Ligament
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.ligament import Ligament, Obstacle
 from identknee.subject.opensim import bones_of, imported_knee
 from identknee.subject.opensim_model import MM_PER_M, OsimModel
 from identknee.subject.opensim_wrap import wrap_objects

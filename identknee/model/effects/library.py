@@ -7,7 +7,6 @@ from types import MappingProxyType
 
 from identknee.model.effects.effect import OF, Effect, scoped, with_fixed_amplitudes
 from identknee.model.effects.facts import FACTS
-from identknee.model.effects.insertion import InsertionShift, insertion
 from identknee.model.effects.loads import (
     axis_misalignment,
     compression,
@@ -39,10 +38,12 @@ from identknee.model.effects.tissues import (
     BUNDLES,
     WRAPPING,
     Cartilage,
+    InsertionShift,
     LigamentBundles,
     bundles,
     bundles_of_each,
     contact_nuisance,
+    insertion,
     mcl_wrapping,
     meniscal_wedge,
     meniscus,

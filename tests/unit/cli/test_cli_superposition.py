@@ -10,7 +10,7 @@ from held import both_of, fixing
 from replayed_paths import in_situ_forces
 
 import identknee as ik
-from identknee.laxity.superposition import write_superposition
+from identknee.laxity.forces import write_superposition
 from identknee.model.laxity_model import LaxityModel
 
 PROTOCOL = ik.load_protocol("table2")

@@ -10,9 +10,9 @@ from identknee.diagnosis.candidates import insertions_beyond_prior
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, add_noise
-from identknee.model.effects.insertion import moved_insertion
 from identknee.model.effects.loads import compression
 from identknee.model.effects.readings import tibia_frame
+from identknee.model.effects.tissues import moved_insertion
 from identknee.model.laxity_model import LaxityModel
 from identknee.subject.knee import Knee, Uncertainty
 from identknee.subject.reference import reference_knee

@@ -9,7 +9,7 @@ import pytest
 import identknee as ik
 from identknee.laxity.experiment_tables import joined, read_experiments
 from identknee.laxity.experiments import Experiment
-from identknee.laxity.superposition import Superposition, read_superposition, write_superposition
+from identknee.laxity.forces import Superposition, read_superposition, write_superposition
 
 HEADER = (
     "trial,cut,before,after,force_x_N,force_y_N,force_z_N,sd_force_x_N,sd_force_y_N,sd_force_z_N\n"

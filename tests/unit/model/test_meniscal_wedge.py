@@ -14,7 +14,7 @@ import identknee as ik
 from identknee.laxity.experiments import Experiment
 from identknee.mechanics.contact_points import triangle_areas
 from identknee.mechanics.distance_field import ContactLaw
-from identknee.mechanics.menisci import NO_MENISCI
+from identknee.mechanics.equilibria import NO_MENISCI
 from identknee.model.contact_loads import (
     contact_jacobian,
     contact_values,

@@ -13,8 +13,8 @@ from identknee.calibrate.problem import SUPERPOSITION_TERM, TABLE_TERM
 from identknee.checks.usable_trials import defined_everywhere, with_other_terms
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
+from identknee.laxity.forces import Superposition
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.superposition import Superposition
 from identknee.model.force_residuals import (
     SuperpositionResiduals,
     structure_wrenches,

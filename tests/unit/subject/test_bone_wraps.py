@@ -8,7 +8,7 @@ import pytest
 import identknee as ik
 from identknee.subject.bone_wraps import with_wraps
 from identknee.subject.knee import Knee
-from identknee.subject.obstacle import Obstacle, circle_through, way_over
+from identknee.subject.ligament import Obstacle, circle_through, way_over
 from identknee.subject.surface import Surface
 
 RADIUS, CENTRE = 14.0, np.array([0.0, -30.0, -22.0])

@@ -16,7 +16,7 @@ from identknee.runs.errors import InputError
 from identknee.subject.check import check_geometry
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Side
-from identknee.subject.obstacle import Obstacle
+from identknee.subject.ligament import Obstacle
 from identknee.subject.opensim import import_opensim, imported_knee, straightened
 from identknee.subject.opensim_export import write_opensim
 from identknee.subject.opensim_wrap import shortest_way
