@@ -14,7 +14,7 @@ from identknee.laxity.table import COORDINATES, TRANSLATIONS, Laxity
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations, to_components
 from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.record import Outcome
-from identknee.runs.words import label_without_unit, two_values_words
+from identknee.runs.words import capitalised, label_without_unit, two_values_words
 
 # The definition that other tools compute, and so that of many tables without a stated one.
 USUAL: Translations = "projections"
@@ -104,7 +104,7 @@ def refitted_translations_findings(
     if USUAL not in made:
         return ()
     said = "; ".join(x[1] for x in made.values())
-    sentence = f"{UNSAID} {said[0].upper()}{said[1:]}. {_remedy(*made)}"
+    sentence = f"{UNSAID} {capitalised(said)}. {_remedy(*made)}"
     more = {
         "rise": {k: x[2] for k, x in made.items()},
         "parameters": {k: x[3] for k, x in made.items()},

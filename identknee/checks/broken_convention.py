@@ -38,6 +38,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.runs.arrays import Array, BoolArray, IntArray
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import Finding, finding
+from identknee.runs.words import capitalised
 
 # Names of both kinds of columns, coordinates first.
 COLUMNS = (*COORDINATES, *LOADS)
@@ -114,22 +115,15 @@ class Convention:
         zero = laxity.zero if self.zero is None else self.zero
         flexion = protocol.flexion_deg * self.flexion
         states = protocol.state if self.states is None else self.states
-        same = (
-            np.array_equal(loads, protocol.loads)
-            and np.array_equal(coordinates, laxity.coordinates, equal_nan=True)
-            and np.array_equal(flexion, protocol.flexion_deg)
-            and states == protocol.state
-        )
         # An exchange with a column that was not measured would move the blank cells.
-        moved = np.isnan(coordinates) != np.isnan(laxity.coordinates)
-        if (same and zero == laxity.zero) or moved.any():
+        if np.any(np.isnan(coordinates) != np.isnan(laxity.coordinates)):
             return None
         sd = laxity.sd
         if sd is not None:
             own = sd[:, order[:n]]
             sd = np.where(own < LEAST_SD, np.abs(factors[:n]) * own, own)
         try:
-            return replace(
+            changed = replace(
                 laxity,
                 protocol=replace(protocol, flexion_deg=flexion, loads=loads, state=states),
                 coordinates=coordinates,
@@ -138,6 +132,7 @@ class Convention:
             )
         except ValueError:
             return None
+        return None if _is_same(changed, laxity) else changed
 
 
 def conventions_of(laxity: Laxity, structures: Sequence[str] = ()) -> tuple[Convention, ...]:
@@ -331,11 +326,10 @@ class BrokenConvention:
         known = [x for x in sizes if np.isfinite(x[0]) and np.isfinite(x[1])]
         falls = " and ".join(f"from {a:.3g} to {b:.3g} {unit}" for a, b, unit in known)
         also = f" So does {' or '.join(self.others)}." if self.others else ""
-        what = self.what[:1].upper() + self.what[1:]
         return (
-            f"{what} removes {min(100.0 * self.removed, 99.0):.0f} % of the misfit (the error "
-            f"falls {falls}), and what is left is plausible: the table violates this convention, "
-            f"and no fit to it is valid.{also} Correct the table and repeat the command."
+            f"{capitalised(self.what)} removes {min(100.0 * self.removed, 99.0):.0f} % of the "
+            f"misfit (the error falls {falls}), and what is left is plausible: the table violates "
+            f"this convention, and no fit to it is valid.{also} Correct the table and repeat the command."
         )
 
     @property

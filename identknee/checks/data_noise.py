@@ -448,8 +448,7 @@ def replicates_findings(laxity: Laxity, noise_mm: float | None = None) -> tuple[
     for column, used in enumerate(laxity.is_measured.T):
         scaled = laxity.coordinates[:, [column]] / spread[:, [column]]
         np.add.at(squares, group, replicates.deviations(scaled, used)[:, 0] ** 2)
-        count = np.bincount(group[used], minlength=n_groups)
-        degrees += np.maximum(count - 1, 0)
+        degrees += np.maximum(np.bincount(group[used], minlength=n_groups) - 1, 0)
     is_apart = squares > MOST**2 * np.maximum(degrees, 1.0)
     if not is_apart.any():
         return ()

@@ -18,6 +18,7 @@ from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
+from identknee.runs.words import listed_first
 from identknee.subject.check import GeometryFinding, geometry_finding
 
 STIFFNESS_SHARE = 0.5
@@ -233,10 +234,9 @@ def _own_finding(report: StabilityReport) -> GeometryFinding:
                 by_outcome.setdefault(one.outcome, []).append(one.trial)
         sentences = []
         for outcome, trials in by_outcome.items():
-            named = ", ".join(trials[:MOST_LISTED])
-            more = f" and {len(trials) - MOST_LISTED} more" if len(trials) > MOST_LISTED else ""
+            named = listed_first(trials, MOST_LISTED)
             many = "1 trial" if len(trials) == 1 else f"{len(trials)} trials"
-            sentences.append(f"{many} ({named}{more}): {outcome.sentence}")
+            sentences.append(f"{many} ({named}): {outcome.sentence}")
         return geometry_finding(
             "trials-not-converging",
             "stability",

@@ -45,7 +45,7 @@ from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome
-from identknee.runs.words import listed
+from identknee.runs.words import listed, listed_first
 from identknee.subject.knee import Knee
 
 # Strains of each ligament at the longest of its measured lengths, from which searches begin.
@@ -538,16 +538,11 @@ def unfitted_findings(laxity: Laxity, prediction: Prediction) -> tuple[Finding, 
                 "trials-without-equilibrium",
                 "trials",
                 {"outcome": outcome.value, "trials": trials},
-                sentence=f"{_named(trials)}: {outcome.sentence}",
+                sentence=f"{listed_first(trials, MOST_LISTED)}: {outcome.sentence}",
             )
             for outcome, trials in by_outcome.items()
         ),
     )
-
-
-def _named(trials: Sequence[str]) -> str:
-    more = len(trials) - MOST_LISTED
-    return ", ".join(trials[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def prediction_finding(model: LaxityModel, laxity: Laxity, start: Array) -> Finding:

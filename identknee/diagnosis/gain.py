@@ -408,8 +408,7 @@ class _Kept:
 
     def jacobian(self, theta: Array) -> Array:
         """Change of the residuals with theta, shape ``(m_kept, p)``."""
-        jacobian = self.memory(theta).jacobian[self.rows]
-        return self.noise.whiten(jacobian)
+        return self.noise.whiten(self.memory(theta).jacobian[self.rows])
 
 
 def _score(

@@ -230,8 +230,7 @@ def _in_state(laxity: Laxity, state: str) -> Laxity:
             f"the experiment is in the state {words!r}, and its table says {other!r}",
             "state it in one place",
         )
-    states = (words,) * laxity.n
-    return replace(laxity, protocol=replace(laxity.protocol, state=states))
+    return replace(laxity, protocol=replace(laxity.protocol, state=(words,) * laxity.n))
 
 
 def _noise_of(path: Path, rig: str, noise: str | None) -> Array | None:

@@ -8,7 +8,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from identknee.laxity.experiments import INTACT, cuts_of
+from identknee.laxity.experiments import cuts_of
 from identknee.laxity.forces import state_with
 from identknee.laxity.protocol import (
     FLEXION_DEG,
@@ -217,8 +217,7 @@ N_VALUES = 2
 
 def current_state(protocol: Protocol) -> str:
     """The state with the most cuts, which is the last one, because cuts are final."""
-    states = protocol.state or (INTACT,)
-    return max(reversed(states), key=lambda x: len(cuts_of(x)))
+    return max(reversed(protocol.states), key=lambda x: len(cuts_of(x)))
 
 
 def with_state(protocol: Protocol, state: str) -> Protocol:

@@ -318,8 +318,7 @@ class SuperpositionResiduals:
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
-        found = self._found(theta)
-        slopes = found.jacobian + self._offsets
+        slopes = self._found(theta).jacobian + self._offsets
         direction = _directions(self._readings(theta))
         by_size = np.einsum("ri,rip->rp", direction, slopes[:, FORCE])
         rows = np.concatenate([slopes, by_size[:, None]], axis=1)[self.superposition.is_measured]

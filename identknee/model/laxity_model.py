@@ -425,8 +425,7 @@ class LaxityModel:
         flexion = np.radians(self.protocol.flexion_deg)
         loads = self.protocol.loads @ _GENERALISED
         if self.poses is None and self.continuation == "continuation":
-            poses = known_poses(self.knee, self.protocol)
-            object.__setattr__(self, "poses", poses)
+            object.__setattr__(self, "poses", known_poses(self.knee, self.protocol))
         if self.poses is None:
             paths = load_paths(flexion, loads, joint.start_flexion, self.continuation)
         else:

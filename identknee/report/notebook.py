@@ -124,8 +124,7 @@ def _drawn_there(made: Iterator[Drawing], name: str, place: Place, wanted: int) 
 def _each_drawing(answer: Answer) -> Iterator[Drawing]:
     result = result_of(answer)
     findings = Findings(subject=result.subject, results=(result,))
-    shows = presenter_of(answer)
-    yield from shows.drawings(answer, result.subject, result.knee)
+    yield from presenter_of(answer).drawings(answer, result.subject, result.knee)
     yield from (x for _, x in laxity_drawings(findings))
 
 

@@ -555,8 +555,7 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
 
 def _on_three_lines(name: str) -> str:
     owner, _, quantity = name.rpartition(".")
-    kind, _, unit = quantity.rpartition("_")
-    return f"{owner}\n{kind.replace('_', ' ')}\n[{'%' if unit == 'pct' else unit}]"
+    return f"{owner}\n{label_without_unit(quantity)}\n[{words.unit_of(quantity)}]"
 
 
 # Dark means a large index, in greyscale prints too.

@@ -96,8 +96,7 @@ def scene(
     view = view_from(azimuth_deg, elevation_deg)
     if figure is None:
         figure = Figure(figsize=(6.0, 6.4), layout="constrained")
-    axes = figure.add_subplot()
-    draw_scene(axes, knee, view, pose=pose, flexion_deg=flexion_deg)
+    draw_scene(figure.add_subplot(), knee, view, pose=pose, flexion_deg=flexion_deg)
     show_figures()
     return figure
 

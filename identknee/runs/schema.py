@@ -79,8 +79,7 @@ class Fault:
 def refusal(why: str, remedy: str) -> PydanticCustomError:
     """The error by which a validator states its own message and remedy."""
     # Braces would be read as places to fill in.
-    context = {"why": why, "remedy": remedy}
-    return PydanticCustomError("said", "{why}", context)
+    return PydanticCustomError("said", "{why}", {"why": why, "remedy": remedy})
 
 
 def custom_message(why: str, remedy: str) -> WrapValidator:

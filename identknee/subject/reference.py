@@ -297,8 +297,7 @@ class CondyleDistance:
 
     def __call__(self, points: Array) -> Array:
         """Signed distance of each point [mm], negative inside, shape ``(n,)``."""
-        distances = [x.distance(points) for x in self.condyles]
-        return np.asarray(np.min(distances, axis=0))
+        return np.asarray(np.min([x.distance(points) for x in self.condyles], axis=0))
 
 
 def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = None) -> Knee:

@@ -209,8 +209,7 @@ def newton_kernel(evaluation: Evaluation, parameters: Parameters) -> NewtonKerne
     if not evaluation.is_finite:
         return NewtonKernel(log_density=-np.inf, center=np.zeros(n), factor=np.zeros((n, n)))
     working = parameters.to_working(evaluation.theta)
-    slope = np.where(parameters.is_log, evaluation.theta, 1.0)
-    jacobian = evaluation.jacobian * slope
+    jacobian = evaluation.jacobian * np.where(parameters.is_log, evaluation.theta, 1.0)
     precision = 1.0 / parameters.prior_sd**2
     gradient = jacobian.T @ evaluation.residuals + precision * (
         working - working_center(parameters)

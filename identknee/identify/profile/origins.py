@@ -97,8 +97,7 @@ class OriginFinder:
                 gains = at_end or at_optimum
                 name = self._strongest(end, gains) if gains else self._farthest_outside()
                 return replace(end.side, made_by=EndOrigin.BOUND, bound_of=name)
-        made_by = self._made_by(end)
-        return replace(end.side, made_by=made_by)
+        return replace(end.side, made_by=self._made_by(end))
 
     def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
         """Reduction that Lagrange multipliers predict for twice the room, by active bound."""

@@ -124,8 +124,7 @@ def profile_pair(
     pair = parameters.index(names[0]), parameters.index(names[1])
     if pair[0] == pair[1]:
         raise ValueError(f"a pair needs two different parameters, got {names[0]} twice")
-    likely = chi2_threshold(level, 2)
-    threshold = likely if threshold is None else threshold
+    threshold = chi2_threshold(level, 2) if threshold is None else threshold
     theta = np.asarray(optimum_theta, dtype=np.float64)
     directions = np.linspace(0.0, 2.0 * np.pi, N_RAYS, endpoint=False).tolist()
     n_simulations = 0

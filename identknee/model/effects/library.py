@@ -132,8 +132,7 @@ def effect_named(knee: Knee, name: str) -> Effect:
 
 
 def _make_structure(name: str, knee: Knee) -> Effect:
-    lines = tuple((x.femur, x.tibia) for x in _sites(knee)[name])
-    return structure(knee, name, lines)
+    return structure(knee, name, tuple((x.femur, x.tibia) for x in _sites(knee)[name]))
 
 
 _sites = lru_cache(maxsize=4)(structure_sites)

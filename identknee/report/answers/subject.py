@@ -7,6 +7,7 @@ from typing_extensions import override
 
 from identknee.report.presenter import Presenter, Question, Statement
 from identknee.report.tables import Table, table
+from identknee.runs.words import listed_first
 from identknee.subject.knee import Knee
 from identknee.verbs.subject import ImportedSubject, SettledSubject, SubjectCheck, SubjectFacts
 
@@ -23,13 +24,11 @@ def left_out_table(answer: ImportedSubject) -> Table:
     return table(
         "Left out of the model, or changed (all names are in result.json)",
         ("class", ("how many", 0), "names", "", "why"),
-        ((x.kind, len(x.names), _some(x.names), x.change, x.why) for x in answer.left_out),
+        (
+            (x.kind, len(x.names), listed_first(x.names, MOST_NAMES), x.change, x.why)
+            for x in answer.left_out
+        ),
     )
-
-
-def _some(names: tuple[str, ...]) -> str:
-    rest = len(names) - MOST_NAMES
-    return ", ".join(names[:MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def subject_statements(answer: SubjectFacts) -> Iterator[Statement]:
