@@ -329,7 +329,8 @@ class BrokenConvention:
         return (
             f"{capitalised(self.what)} removes {min(100.0 * self.removed, 99.0):.0f} % of the "
             f"misfit (the error falls {falls}), and what is left is plausible: the table violates "
-            f"this convention, and no fit to it is valid.{also} Correct the table and repeat the command."
+            f"this convention, and no fit to it is valid.{also} Correct the table and repeat the "
+            "command."
         )
 
     @property

@@ -195,10 +195,14 @@ class FittedModel:
         return LaxityResiduals(model=self.model, laxity=self.laxity)
 
     @property
+    def problem(self) -> ProblemWithPriors:
+        """What was fitted."""
+        return whitened_problem(self.model, self.laxity, self.noise)
+
+    @property
     def nuisance_findings(self) -> tuple[Finding, ...]:
         """Nuisances whose estimate is improbable under their prior."""
-        problem = whitened_problem(self.model, self.laxity, self.noise)
-        return nuisance_findings(problem, self.theta, hint="")
+        return nuisance_findings(self.problem, self.theta, hint="")
 
     @property
     def differences(self) -> Array:
@@ -217,26 +221,24 @@ class FittedModel:
     @property
     def evidence(self) -> tuple[EvidenceTerm, ...]:
         """Terms of the deviance of the fit."""
-        problem = whitened_problem(self.model, self.laxity, self.noise)
-        return evidence_terms(problem, self.theta)
+        return evidence_terms(self.problem, self.theta)
 
     @property
     def compared_forces(self) -> ComparedForces | None:
         """Measured and predicted forces; None where none was measured."""
-        problem = whitened_problem(self.model, self.laxity, self.noise)
-        return compared_forces(problem, self.theta)
+        return compared_forces(self.problem, self.theta)
 
     @property
     def nuisances(self) -> tuple[NuisanceEstimate, ...]:
         """The nuisance parameters of the knee at the fit."""
-        return nuisance_estimates(whitened_problem(self.model, self.laxity, self.noise), self.theta)
+        return nuisance_estimates(self.problem, self.theta)
 
     @property
     def nuisance_groups(self) -> tuple[NuisanceGroup, ...]:
         """How improbable those of each kind and place are under their prior; empty without any."""
         if self.model.parameters.is_of_interest.all():
             return ()
-        return nuisance_groups(whitened_problem(self.model, self.laxity, self.noise), self.theta)
+        return nuisance_groups(self.problem, self.theta)
 
     @property
     def projector(self) -> Projector:

@@ -215,12 +215,12 @@ def _one_error(name: str, amplitude: str, sd: float, changed: Changed) -> Inputs
 
 def contact_modulus(sd: float) -> InputsChange:
     """Logarithm of the modulus of the cartilage over the knee's own."""
-    return _one_error("contact_modulus", "ln_modulus", sd, _with_modulus)
+    return _one_error("contact_modulus", "ln_modulus", sd, partial(_with_law, "modulus"))
 
 
 def contact_exponent(sd: float) -> InputsChange:
     """Logarithm of the exponent by which contact pressure grows with depth, over the knee's own."""
-    return _one_error("contact_exponent", "ln_exponent", sd, _with_exponent)
+    return _one_error("contact_exponent", "ln_exponent", sd, partial(_with_law, "exponent"))
 
 
 def toe_region(sd: float) -> InputsChange:
@@ -263,14 +263,9 @@ def reference_pose(sd_deg: float, sd_mm: float) -> InputsChange:
     return InputsChange(name="reference_pose", parameters=made, changed=changed)
 
 
-def _with_modulus(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-    law = replace(setting.law, modulus=setting.law.modulus * float(np.exp(values[0])))
-    return replace(setting, law=law)
-
-
-def _with_exponent(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
-    law = replace(setting.law, exponent=setting.law.exponent * float(np.exp(values[0])))
-    return replace(setting, law=law)
+def _with_law(part: str, setting: MechanicsInputs, values: Array) -> MechanicsInputs:
+    scaled = {part: getattr(setting.law, part) * float(np.exp(values[0]))}
+    return replace(setting, law=replace(setting.law, **scaled))
 
 
 def _with_toe_region(setting: MechanicsInputs, values: Array) -> MechanicsInputs:
