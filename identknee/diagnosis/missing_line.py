@@ -5,7 +5,7 @@ from typing import Self
 import numpy as np
 import scipy
 
-from identknee.diagnosis.fitting import FittedModel, Refit, refit, whitened_problem
+from identknee.diagnosis.fitting import FittedModel, Refit, refit
 from identknee.diagnosis.misfit import TrialLayout, base_projector
 from identknee.mechanics.pose import coordinate_jacobian
 from identknee.model.effects.structures import MissingStructure
@@ -191,7 +191,7 @@ def scan_lines(fitted: FittedModel, theta: Array, lines: CandidateLines) -> Line
     has a missing line already, the scan is for what might take its place. None where the model has
     no prediction at theta.
     """
-    problem = whitened_problem(fitted.model, fitted.laxity, fitted.noise)
+    problem = fitted.problem
     residuals = -problem.residuals(theta)
     if not np.isfinite(residuals).all():
         return None

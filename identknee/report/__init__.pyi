@@ -21,9 +21,9 @@ from .parameter_figures import profiles_figure as profiles_figure
 from .parameter_figures import ranges_figure as ranges_figure
 from .parameter_figures import sets_figure as sets_figure
 from .parameter_figures import spectrum_figure as spectrum_figure
+from .presenter import Column as Column
+from .presenter import Table as Table
 from .scene import draw_scene as draw_scene
 from .scene import view_from as view_from
 from .sweep_figures import start_end_figure as start_end_figure
 from .sweep_figures import waterfall_figure as waterfall_figure
-from .tables import Column as Column
-from .tables import Table as Table

@@ -15,8 +15,8 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.report.figures import DOTS_IN_NOTEBOOK, FIT, SMALL, bare, panel_rows, png
 from identknee.report.laxity_figures import LaxityCurves, along_load_figure, by_load_figure
 from identknee.report.page.markup import parts
+from identknee.report.presenter import Cell, Table, table
 from identknee.report.scene import scene
-from identknee.report.tables import Cell, Table, table
 from identknee.runs.declare import declared, entry
 from identknee.runs.words import label, listed, listed_first
 from identknee.subject.knee import Knee

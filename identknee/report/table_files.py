@@ -7,8 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from identknee.report.overview import Overview, overview
-from identknee.report.presenter import assumption_sentences, statements_of
-from identknee.report.tables import Cell, Table, table
+from identknee.report.presenter import Cell, Table, assumption_sentences, statements_of, table
 from identknee.runs.findings import Severity, finding_lines
 from identknee.runs.words import unit_of
 from identknee.verbs.answer import Answer

@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from identknee.report.figure_data import figure_data
-from identknee.report.figures import recolour, resize, vector
+from identknee.report.figures import figure_data, recolour, resize, vector
 from identknee.report.methods import methods_text
 from identknee.report.notebook import result_of
 from identknee.report.page.page import report_drawings, report_html, report_tables

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from common.published import PublishedError, PublishedLaxity
-from identknee.report.tables import Cell, Column, Table
+from identknee.report.presenter import Cell, Column, Table
 from identknee.runs.arrays import Array
 from identknee.verbs.demo import parameter_error
 

@@ -8,8 +8,7 @@ from typing_extensions import override
 
 from identknee.checks.fit_checks import SAME
 from identknee.report.comparison import ComparedQuantity, Comparison, compared_values
-from identknee.report.presenter import Drawing, Presenter, Statement
-from identknee.report.tables import Table, table
+from identknee.report.presenter import Drawing, Presenter, Statement, Table, table
 from identknee.runs.findings import Doubt
 from identknee.runs.words import label, label_without_unit, listed, listed_first, unit_of
 from identknee.subject.knee import Knee

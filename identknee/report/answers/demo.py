@@ -9,8 +9,7 @@ from typing_extensions import override
 from identknee.laxity.protocol import Protocol
 from identknee.report.answers.profile import parameter_statements, profile_drawings, profile_range
 from identknee.report.answers.simulate import simulated_curves
-from identknee.report.presenter import Drawing, Presenter, Question, Range, Statement
-from identknee.report.tables import table
+from identknee.report.presenter import Drawing, Presenter, Question, Range, Statement, table
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer

@@ -31,9 +31,10 @@ from identknee.report.presenter import (
     Range,
     Source,
     Statement,
+    Table,
     open_ends_text,
+    table,
 )
-from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.schema import summary_of

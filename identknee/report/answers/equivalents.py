@@ -8,8 +8,17 @@ from typing_extensions import override
 from identknee.identify.equivalents import Extrema
 from identknee.identify.region import ExtremumEnd
 from identknee.laxity.table import COORDINATES
-from identknee.report.presenter import SDS_95, Band, Drawing, Presenter, Range, Source, Statement
-from identknee.report.tables import Table, table
+from identknee.report.presenter import (
+    SDS_95,
+    Band,
+    Drawing,
+    Presenter,
+    Range,
+    Source,
+    Statement,
+    Table,
+    table,
+)
 from identknee.runs.words import (
     amount,
     between,

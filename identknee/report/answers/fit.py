@@ -17,12 +17,13 @@ from identknee.report.presenter import (
     Presenter,
     Question,
     Statement,
+    Table,
     of_type,
     optimizer_sources,
     presenter_of,
     settings_of,
+    table,
 )
-from identknee.report.tables import Table, table
 from identknee.runs.arrays import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome

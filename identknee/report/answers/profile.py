@@ -21,10 +21,11 @@ from identknee.report.presenter import (
     Range,
     Source,
     Statement,
+    Table,
     open_ends_text,
     settings_of,
+    table,
 )
-from identknee.report.tables import Table, table
 from identknee.runs.words import (
     amount,
     between,

@@ -15,8 +15,8 @@ from identknee.report.presenter import (
     Source,
     Statement,
     settings_of,
+    table,
 )
-from identknee.report.tables import table
 from identknee.runs.arrays import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee

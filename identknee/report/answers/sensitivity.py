@@ -9,8 +9,7 @@ from typing_extensions import override
 
 from identknee.identify.sensitivity import Sensitivity
 from identknee.laxity.trial_words import UNLOADED
-from identknee.report.presenter import Drawing, Presenter, Question, Statement
-from identknee.report.tables import Table, table
+from identknee.report.presenter import Drawing, Presenter, Question, Statement, Table, table
 from identknee.runs.words import coordinate_words, label, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.sensitivity import GlobalSensitivity

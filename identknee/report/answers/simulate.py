@@ -8,8 +8,7 @@ from typing_extensions import override
 
 from identknee.laxity.protocol import ABSOLUTE, Protocol, from_zero
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.report.presenter import Presenter, Question, Statement
-from identknee.report.tables import table
+from identknee.report.presenter import Presenter, Question, Statement, table
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
 from identknee.verbs.answer import Answer

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 from typing_extensions import override
 
-from identknee.report.presenter import Presenter, Question, Statement
-from identknee.report.tables import Table, table
+from identknee.report.presenter import Presenter, Question, Statement, Table, table
 from identknee.runs.words import listed_first
 from identknee.subject.knee import Knee
 from identknee.verbs.subject import ImportedSubject, SettledSubject, SubjectCheck, SubjectFacts

@@ -8,14 +8,16 @@ from typing_extensions import override
 
 from identknee.identify.sweep import END, OUTCOMES, POLISHED, Recovery, Survey
 from identknee.report.presenter import (
+    Cell,
     Drawing,
     Presenter,
     Question,
     Statement,
+    Table,
     optimizer_sources,
     settings_of,
+    table,
 )
-from identknee.report.tables import Cell, Table, table
 from identknee.runs.record import Outcome
 from identknee.runs.words import label, listed
 from identknee.subject.knee import Knee

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from identknee.report.tables import Table
+from identknee.report.presenter import Table
 
 ONE_LINE = 28  # letters of the longest cell of a column whose cells are not broken
 # A number and its unit stay on one line, as does an option of a command.

@@ -43,14 +43,15 @@ from identknee.report.presenter import (
     Drawing,
     Question,
     Statement,
+    Table,
     assumption_sentences,
     main_statements,
     of_type,
     presenter_of,
     statements_of,
+    table,
 )
 from identknee.report.table_files import ESTIMATES, estimates_table, file_word, named, notes_of
-from identknee.report.tables import Table, table
 from identknee.runs.declare import declared, entry
 from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 from common.published import TABLE2
 
-from identknee.report.tables import Table
+from identknee.report.presenter import Table
 
 ROOT = Path(__file__).parents[3]
 STUDY = ROOT / "studies" / "13_paper"

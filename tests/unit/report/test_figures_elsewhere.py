@@ -16,12 +16,13 @@ from matplotlib.text import Text
 from report_folders import straight_profiles
 
 import identknee as ik
-from identknee.report.figure_data import HEADS, figure_data
 from identknee.report.figures import (
     COLOURS,
+    HEADS,
     LEAST_LETTERS,
     ONE_COLUMN_MM,
     TWO_COLUMNS_MM,
+    figure_data,
     resize,
 )
 from identknee.report.page.page import report_drawings

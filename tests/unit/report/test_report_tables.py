@@ -5,7 +5,7 @@ from common.published import TABLE2, TABLE5
 from common.rows_of_paper import error_table, laxity_table, start_table
 from common.spreads import median_range, spread
 
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import Column, Table
 
 SMALL = Table(
     title="Two springs",

@@ -14,6 +14,7 @@ import identknee as ik
 from identknee.report.overview import overview
 from identknee.report.page.page import report_tables
 from identknee.report.page.results import found_results
+from identknee.report.presenter import Table, table
 from identknee.report.table_files import (
     FORMS,
     escaped,
@@ -22,7 +23,6 @@ from identknee.report.table_files import (
     named,
     table_files,
 )
-from identknee.report.tables import Table, table
 from identknee.runs.findings import finding
 from identknee.runs.words import label_without_unit
 

@@ -1,6 +1,6 @@
 """Long tables on a terminal: the first rows, and how many more there are."""
 
-from identknee.report.tables import Column, Table
+from identknee.report.presenter import Column, Table
 
 
 def test_a_terminal_shows_the_first_rows_and_counts_the_others() -> None:
