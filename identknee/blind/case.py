@@ -32,8 +32,7 @@ from identknee.blind.hidden import Hidden, Scene, anatomical_sites
 from identknee.blind.truth import Truth, write_truth
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity, add_noise, write_laxity
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.files import PathLike, prepare_folder
 from identknee.subject.knee import Knee

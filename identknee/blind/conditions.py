@@ -7,8 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from identknee.blind.experiment import EXPONENT, Experiment
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.subject.knee import EXACTLY, Frame, Knee, UncertainLike, with_stated_uncertainty
 
 # Draws after which a distribution is taken to have hardly any value between its ends.

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identknee.runs.arrays import Array
 from identknee.runs.compiling import compiled
+from identknee.runs.declare import Array
 
 # A rotation counts as much as this displacement [mm/rad].
 LEVER = 40.0

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 from identknee.blind import energy, equilibrium
 from identknee.blind.energy import FemurGrid, TibialSurface, VirtualKnee
 from identknee.laxity.protocol import Protocol
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import cache_folder, prepare_folder
 from identknee.subject.knee import Knee

@@ -18,8 +18,7 @@ from identknee.blind.experiment import (
     TOE_STRAIN,
     Experiment,
 )
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 from identknee.subject.knee import Knee
 
 # Distance between the epicondyles of the average knee to which the offsets below refer [mm].

@@ -8,7 +8,7 @@ import numpy as np
 from identknee.blind.experiment import N_MM_PER_N_M, Experiment
 from identknee.blind.hidden import Apply, Draw, Hidden, Scene, hidden
 from identknee.laxity.table import COORDINATES
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The shank's centre of mass below the tibial origin [mm].
 SHANK_MM = 180.0

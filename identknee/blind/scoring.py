@@ -7,8 +7,7 @@ import numpy as np
 
 from identknee.blind.effects import UNLISTED
 from identknee.blind.truth import Truth
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 
 # Distance and angle to the true line within which a line found counts as the true one.
 NEAR_MM, NEAR_DEG = 10.0, 15.0

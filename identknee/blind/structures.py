@@ -20,7 +20,7 @@ from identknee.blind.experiment import (
     distances,
 )
 from identknee.blind.hidden import Draw, Hidden, Scene, hidden, line_row, structure_insertions
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Slack strain of a structure [%].
 STRAIN_PCT, STRAIN_JITTER_PCT = 3.0, 2.0

@@ -10,8 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_PARAMETER, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import BYTES_PER_MB, PathLike, check_readable, write_json
 from identknee.runs.schema import Number, Part, summary_of

@@ -17,8 +17,7 @@ from identknee.calibrate.problem import (
     n_prior_rows,
     sum_of_squares,
 )
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.record import Outcome
 
 N_DRAWS, BUDGET = 1999, 60

@@ -52,8 +52,7 @@ from identknee.calibrate.problem import (
     jump,
     thin_svd,
 )
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry
 from identknee.runs.record import Outcome
 
 # Below this the inverse of a number overflows.

@@ -39,8 +39,7 @@ from identknee.calibrate.problem import (
     without_priors,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, IntArray, array, declared, entry, frozen
 from identknee.runs.errors import InputError, suggestion
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.progress import progress, progress_bar

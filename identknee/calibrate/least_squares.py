@@ -36,8 +36,7 @@ from identknee.calibrate.problem import (
     typical_steps,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.record import Outcome
 
 STEP_TOLERANCE = 1e-6

@@ -11,7 +11,7 @@ import numpy as np
 
 from identknee.calibrate.problem import Evaluator, floors, half_widths
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 POPULATION = 20

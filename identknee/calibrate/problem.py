@@ -11,8 +11,7 @@ from scipy.linalg import solve_triangular, svd
 from typing_extensions import override
 
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.record import Outcome
 from identknee.runs.words import unit_of
 

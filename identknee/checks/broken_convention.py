@@ -35,8 +35,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances import Registration
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import capitalised
 

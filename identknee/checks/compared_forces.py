@@ -5,8 +5,7 @@ import numpy as np
 from identknee.calibrate.problem import Problem, SumOfTerms, innermost
 from identknee.laxity.forces import RESULTANT, WRENCH
 from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_QUANTITY, array, declared, entry
+from identknee.runs.declare import OF_QUANTITY, Array, array, declared, entry
 
 
 @declared

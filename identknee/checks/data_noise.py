@@ -11,8 +11,7 @@ from scipy.sparse import csr_array
 
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.findings import Finding, finding
 
 # Degree of the polynomial that is removed along a load curve; the residuals are the noise.

@@ -41,8 +41,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import strains_of, tensions_of
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.runs.words import (
     PLAIN,

@@ -18,8 +18,7 @@ from identknee.checks.table_checks import (
     trial_findings,
 )
 from identknee.laxity.table import Laxity
-from identknee.runs.arrays import BoolArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import BoolArray, declared, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.findings import Finding, finding
 

@@ -18,8 +18,7 @@ from identknee.calibrate.problem import (
     without_priors,
 )
 from identknee.model.limit_residuals import LimitAtFit, LimitResiduals
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_PARAMETER, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, IntArray, declared, entry
 from identknee.runs.executors import Executor, serial
 
 # Deviance of a limit below which it costs nothing.

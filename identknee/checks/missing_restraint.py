@@ -23,8 +23,7 @@ from identknee.model.missing_wrench import (
     wrench_at_measured_poses,
 )
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import amount, listed, listed_first
 from identknee.subject.knee import Knee

@@ -12,8 +12,7 @@ from identknee.model.insertion_moves import ENOUGH_MARGIN, WITHIN, InsertionMove
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
+from identknee.runs.declare import OF_COORDINATE, Array, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress

@@ -22,8 +22,7 @@ from identknee.laxity.trial_words import load_words
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import amount, label_without_unit, listed, unit_of
 

@@ -12,8 +12,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import coordinate_words
 

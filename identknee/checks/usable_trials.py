@@ -40,7 +40,7 @@ from identknee.model.residuals import (
     has_shared_errors,
     shared_errors,
 )
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.runs.findings import Finding, finding
 from identknee.runs.progress import progress

@@ -42,8 +42,7 @@ from identknee.model.effects.library import NEEDS_ORDER, NEEDS_PHASE, library, v
 from identknee.model.experiments import causes_in_experiments
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.marginalise import with_error_measured
 from identknee.subject.knee import Knee
 

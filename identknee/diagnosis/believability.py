@@ -41,8 +41,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitAtFit, LimitResiduals
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress
 from identknee.runs.record import Outcome

@@ -31,8 +31,7 @@ from identknee.model.effects.tissues import InsertionShift, LigamentBundles, mov
 from identknee.model.line_loads import added_line_tensions
 from identknee.model.mechanics_inputs import PER_KN
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray, frozen
-from identknee.runs.declare import declared, entries, entry
+from identknee.runs.declare import Array, IntArray, declared, entries, entry, frozen
 from identknee.runs.words import PLAIN, unit_of
 from identknee.subject.knee import BONES
 

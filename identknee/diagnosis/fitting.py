@@ -62,8 +62,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import wrench_response
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, StatedPrior

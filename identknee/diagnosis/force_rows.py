@@ -20,8 +20,7 @@ from identknee.model.residuals import (
     shared_errors,
     surface_gradients,
 )
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 
 # An added load on the tibia (varus, internal [N mm], x, y, z [N]), for derivatives by loads.
 FURTHER = "further_load"

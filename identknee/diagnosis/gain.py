@@ -25,8 +25,7 @@ from identknee.laxity.table import COORDINATES, ROTATIONS, Laxity, root_mean
 from identknee.model.discrepancy import SmoothKernel
 from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.record import WithSentence
 
 FLEXION = "flexion"

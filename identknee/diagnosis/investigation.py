@@ -55,7 +55,7 @@ from identknee.model.experiments import causes_in_experiments
 from identknee.model.force_residuals import weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import MissingWrench, missing_wrench
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, Severity, finding
 from identknee.runs.progress import stage

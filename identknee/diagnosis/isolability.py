@@ -9,8 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from identknee.diagnosis.score import LEAST_DISTANCE, ProjectedSignature, effect_names
 from identknee.identify.trial_choice import choose
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry, frozen
 from identknee.runs.marginalise import NuisancePosterior, schur_complement
 
 # Trials are advised until the least distance is ENOUGH, a margin above LEAST_DISTANCE, or until

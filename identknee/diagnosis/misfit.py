@@ -8,8 +8,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp
 
 from identknee.diagnosis.noise_model import NoiseModel
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, array, declared, entry
 from identknee.runs.words import listed
 
 # Share of the largest singular value. Directions the data hardly see are kept on purpose: each

@@ -14,8 +14,7 @@ from identknee.model.line_loads import added_line_tensions, line_loads
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT
 from identknee.model.missing_wrench import MissingWrench, along_plateau
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, array, declared, entry
 from identknee.subject.insertion_sites import Place, PlaceSide, insertion_surfaces, name_of_place
 from identknee.subject.knee import Knee
 

@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.marginalise import marginal_covariance
 
 # Standard deviations that a measurement in mm or deg may have; squares of these keep their digits.

@@ -15,8 +15,7 @@ from identknee.diagnosis.misfit import (
     log_weighted_tail,
     z_score_of_log_tail,
 )
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
 from identknee.runs.record import WithSentence
 
 # Signs are dealt with by trying every set of amplitudes that are not zero.

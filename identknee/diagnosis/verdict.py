@@ -32,8 +32,7 @@ from identknee.model.effects.facts import cause_label, facts_of
 from identknee.model.effects.loads import LoadError
 from identknee.model.effects.structures import MissingStructure, Structure
 from identknee.model.effects.tissues import direction_words
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, derived, entry
+from identknee.runs.declare import Array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import counted, progress, progress_bar, stage
 from identknee.runs.record import Outcome

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from identknee.calibrate.problem import Problem, sum_of_squares
 from identknee.identify.sweep import DISTANCE, distance
-from identknee.runs.arrays import Array, BoolArray, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived
+from identknee.runs.declare import OF_PARAMETER, Array, BoolArray, array, declared, derived, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 

@@ -46,8 +46,7 @@ from identknee.identify.profile.profile import ProfileSettings, profile_quantiti
 from identknee.identify.profile.result import Profile
 from identknee.identify.trial_choice import choose
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import OF_QUANTITY, array, declared, derived, entry
+from identknee.runs.declare import OF_QUANTITY, Array, BoolArray, array, declared, derived, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.marginalise import NuisancePosterior, whitening, with_error_measured
 

@@ -16,8 +16,7 @@ from typing_extensions import override
 from identknee.calibrate.problem import Problem, ProblemAround, Quantity, evaluate
 from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import Profile
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, derived, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, derived, entry
 from identknee.runs.executors import Executor
 from identknee.runs.marginalise import schur_complement
 

@@ -20,8 +20,16 @@ from identknee.identify.region import (
     extremise,
     farthest_pair,
 )
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_PARAMETER,
+    OF_QUANTITY,
+    Array,
+    IntArray,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.record import WithSentence
 from identknee.runs.store import Store, resumable_map

@@ -19,8 +19,16 @@ from identknee.calibrate.problem import (
     typical_steps,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_PARAMETER,
+    Array,
+    BoolArray,
+    IntArray,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress
 from identknee.runs.record import WithSentence

@@ -10,7 +10,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp
 
 from identknee.calibrate.problem import Evaluation
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
+from identknee.runs.declare import Array, BoolArray, IntArray, frozen
 
 # Share of a component below which what bounds cut off is ignored: for the component itself and
 # for the intervals of the others.

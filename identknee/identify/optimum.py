@@ -15,8 +15,7 @@ from identknee.calibrate.problem import (
     with_nuisance_priors,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 

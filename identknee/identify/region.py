@@ -10,8 +10,7 @@ import scipy
 from scipy import sparse
 
 from identknee.calibrate.problem import RANK_TOLERANCE, Evaluator, Problem, Quantity, typical_steps
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, Array, array, declared, entry, frozen
 from identknee.runs.record import WithSentence
 
 ALL = "all"

@@ -20,8 +20,7 @@ from identknee.identify.sensitivity_estimators import (
     sobol_indices,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, derived, entry, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 

@@ -23,8 +23,7 @@ from math import factorial
 import numpy as np
 import scipy
 
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared
 
 RESAMPLES = 200
 CONFIDENCE = 0.95

@@ -22,8 +22,17 @@ from identknee.calibrate.problem import (
 )
 from identknee.identify.binomial_interval import Proportion, share
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_PARAMETER,
+    Array,
+    BoolArray,
+    IntArray,
+    array,
+    declared,
+    derived,
+    entry,
+    frozen,
+)
 from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 from identknee.runs.store import Store, resumable_map

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 
 MOST_ROUNDS = 20
 # Least relative gain of an exchange; less is rounding.

@@ -22,7 +22,7 @@ from identknee.laxity.forces import (
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import PathLike
 from identknee.runs.schema import Fault, Part, custom_message, number, read_toml, validated

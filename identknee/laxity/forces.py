@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike
 from identknee.laxity.experiments import Cut, cuts_of, state_words
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table_file import CellFile, TableRow, written
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import array, declared, entry, name_axis
+from identknee.runs.declare import Array, BoolArray, array, declared, entry, name_axis
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.runs.files import PathLike, write_atomically
 

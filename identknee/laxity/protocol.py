@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from identknee.laxity.experiments import INTACT, Experiment, cuts_of, state_words
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry, name_axis
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry, name_axis
 from identknee.runs.errors import InputError, ValueRefused, suggestion
 from identknee.runs.files import PathLike
 from identknee.runs.schema import (

@@ -12,7 +12,7 @@ from typing import TextIO
 
 import numpy as np
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 
 DEG = 57.29577951308232

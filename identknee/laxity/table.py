@@ -68,8 +68,16 @@ from identknee.laxity.translations import (
     sd_of_components,
     to_components,
 )
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_COORDINATE, array, declared, entry, name_axis
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    Array,
+    BoolArray,
+    IntArray,
+    array,
+    declared,
+    entry,
+    name_axis,
+)
 from identknee.runs.errors import InputError, ValueRefused, suggestion
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import Finding, finding

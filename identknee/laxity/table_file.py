@@ -42,7 +42,7 @@ from identknee.laxity.spreadsheets import (
     wrong_unit,
 )
 from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.findings import Finding, finding

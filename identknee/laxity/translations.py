@@ -17,7 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 Translations = Literal["components", "projections", "femur", "tibia"]
 COMPONENTS: Translations = "components"

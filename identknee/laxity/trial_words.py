@@ -15,8 +15,7 @@ from identknee.laxity.protocol import (
     nominal_loads,
 )
 from identknee.laxity.table import COORDINATES
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, derived, entry
+from identknee.runs.declare import Array, declared, derived, entry
 from identknee.runs.words import listed, unit_of
 
 UNLOADED = "unloaded"

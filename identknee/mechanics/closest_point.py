@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from identknee.runs.arrays import Array, BoolArray, IndexArray, IntArray
+from identknee.runs.declare import Array, BoolArray, IndexArray, IntArray
 from identknee.runs.triangles import blocks, side_names, unit
 
 LEAF_SIZE = 4

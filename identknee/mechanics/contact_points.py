@@ -8,8 +8,7 @@ import numpy as np
 from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import NO_MENISCI, UNIT_LAW, ContactPoints
 from identknee.mechanics.pose import Placement, place, rotation_matrix
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.progress import progress
 from identknee.runs.triangles import blocks, doubled_areas, lengths, side_names
 

@@ -14,8 +14,7 @@ from identknee.mechanics.memory import (
     read_only,
     record,
 )
-from identknee.runs.arrays import Array, BitArray, ReachArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BitArray, ReachArray, declared, entry
 from identknee.runs.progress import progress
 
 PRESSURE_MODULUS = 10.0  # N/mm3, the paper's 10 GN/m3

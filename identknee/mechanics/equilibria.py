@@ -31,8 +31,7 @@ from identknee.mechanics.memory import (
     read_only,
     record,
 )
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
 
 
 @declared

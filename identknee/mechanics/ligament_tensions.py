@@ -5,8 +5,7 @@ import numpy as np
 from identknee.mechanics.equilibria import TRANSITION_STRAIN, LineLigaments
 from identknee.mechanics.memory import COURSE, record
 from identknee.mechanics.pose import Placement, rotation_matrix
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, IntArray, array, declared
 
 
 @declared

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from identknee.runs.arrays import Array, BitArray, IndexArray, IntArray, ReachArray
+from identknee.runs.declare import Array, BitArray, IndexArray, IntArray, ReachArray
 
 # How the search for an equilibrium ended.
 CONVERGED, FOLD, NO_EQUILIBRIUM, UNCONSTRAINED = range(4)

@@ -28,8 +28,16 @@ from identknee.mechanics.equilibria import LineLigaments, LoadPaths
 from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.memory import ROTATION_SCALE
 from identknee.mechanics.pose import Placement, place
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen, frozen_integers
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import (
+    Array,
+    BoolArray,
+    IntArray,
+    array,
+    declared,
+    entry,
+    frozen,
+    frozen_integers,
+)
 from identknee.runs.record import Outcome
 
 Convention = Literal["tibia", "femur", "both"]

@@ -8,8 +8,7 @@ the tibial origin in femoral axes that turn with flexion.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 
 
 def rotation_matrix(flexion: ArrayLike, varus: ArrayLike, internal: ArrayLike) -> Array:

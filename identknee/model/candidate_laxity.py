@@ -32,8 +32,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, structure_names
 from identknee.model.mechanics_inputs import POSE_EVERY_DEG
 from identknee.model.parameters import FreeParameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, Array, array, declared, entry
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the loads, in turn
 

@@ -17,8 +17,7 @@ from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel, meniscus_geometry
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.subject.menisci import SIDES
 
 

@@ -24,8 +24,7 @@ from scipy.optimize import minimize
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.runs.words import amount, label_without_unit, unit_of
 
 # Bounds of a correlation length, where flexion and each load vary between 0 and 1, or -1 and 1.

@@ -25,7 +25,7 @@ from identknee.model.effects.effect import (
 )
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.nuisances import load_cell, stored_effects
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee
 

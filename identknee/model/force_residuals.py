@@ -34,8 +34,7 @@ from identknee.model.parameter_groups import lines_by_units
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import CONTACT, quantity_place
-from identknee.runs.arrays import Array, IntArray, short_repr
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, IntArray, array, declared, short_repr
 from identknee.runs.errors import ValueRefused
 
 

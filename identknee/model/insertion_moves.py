@@ -9,8 +9,7 @@ import numpy as np
 from identknee.model.effects.tissues import SHIFT_LIMIT, insertion
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.subject.knee import BONES, Knee
 

@@ -68,8 +68,7 @@ from identknee.model.parameter_groups import (
 )
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction, solve_beyond_folds
-from identknee.runs.arrays import Array, IntArray, frozen, short_repr
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, short_repr
 from identknee.runs.errors import InputError
 from identknee.runs.files import cache_folder, prepare_folder, write_atomically
 from identknee.runs.progress import stage

@@ -23,8 +23,7 @@ from identknee.model.line_loads import (
     tensions_of,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, short_repr
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry, short_repr
 from identknee.runs.errors import ValueRefused
 from identknee.subject.menisci import MENISCI
 from identknee.subject.plausibility import CONTACT, TENSION, Limit

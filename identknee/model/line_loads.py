@@ -12,8 +12,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs
 from identknee.model.parameter_groups import lines_by_units
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entries, entry
+from identknee.runs.declare import Array, array, declared, entries, entry
 
 
 @declared

@@ -12,8 +12,7 @@ from identknee.mechanics.distance_field import ContactLaw, DistanceField
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.mechanics.pose import coordinates_from_pose, place, pose_from_coordinates, start_pose
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.subject.knee import Knee, KnownPose, pose_at
 
 

@@ -18,8 +18,7 @@ from identknee.model.laxity_model import (
 from identknee.model.mechanics_inputs import holding_poses
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import HeldTrials, LaxityResiduals
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, array, declared, entry
 
 # Steps of the central differences for the stiffness at a measured pose [rad, mm].
 STEPS = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4])

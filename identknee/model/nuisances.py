@@ -31,8 +31,7 @@ from identknee.model.effects.readings import flexion_offset
 from identknee.model.effects.tissues import insertion
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, frames_at, placements
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import AXES, BONES, Knee
 from identknee.subject.surface import Surface

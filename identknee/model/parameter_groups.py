@@ -9,8 +9,7 @@ from identknee.model.effects.effect import joined
 from identknee.model.effects.library import values_of
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry, frozen
 from identknee.subject.knee import Knee, StatedPrior
 
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, BoolArray, array, declared, entry
 from identknee.runs.errors import suggestion
 
 STIFFNESS = "stiffness_kN"

@@ -15,8 +15,7 @@ from identknee.mechanics.equilibria import (
     stability_margins,
 )
 from identknee.mechanics.memory import CONVERGED, Equilibria
-from identknee.runs.arrays import Array, BoolArray, IntArray, short_repr
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry, short_repr
 from identknee.runs.record import Outcome
 
 # Share of the contact force near a rim above which a trial is reported.

@@ -26,8 +26,7 @@ from identknee.model.line_loads import (
 )
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.subject.menisci import MENISCI
 
 TENSION, STRAIN, CONTACT, MENISCUS = "tension_N", "strain_pct", "contact", "meniscus"

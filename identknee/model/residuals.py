@@ -21,8 +21,7 @@ from identknee.model.mechanics_inputs import holding_poses
 from identknee.model.nuisances import flexion
 from identknee.model.parameters import Parameters
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, IntArray, short_repr
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry, short_repr
 from identknee.runs.marginalise import whitening
 from identknee.subject.knee import Uncertainty
 

@@ -17,8 +17,15 @@ from identknee.laxity.table import COORDINATES
 from identknee.report.methods import given_options, value_words
 from identknee.report.overview import FORCE, ranges_of
 from identknee.report.presenter import Source, of_type, presenter_of, settings_of
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_QUANTITY, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_QUANTITY,
+    Array,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.words import amount, interval, listed, unit_of
 from identknee.verbs.answer import IN_WORDS, Answer, Question
 from identknee.verbs.diagnosis import Diagnosis

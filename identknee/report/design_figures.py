@@ -23,7 +23,7 @@ from identknee.report.figures import (
     panel_rows,
     rows_down,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Panels side by side.
 ACROSS = 4

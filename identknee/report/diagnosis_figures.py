@@ -40,7 +40,7 @@ from identknee.report.figures import (
 )
 from identknee.report.laxity_figures import LaxityCurves, by_load_figure
 from identknee.report.scene import View
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import PLAIN, coordinate_words, label, listed, unit_of
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import (

@@ -26,8 +26,7 @@ from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
 from identknee.report.presenter import Range, of_type, presenter_of, settings_of
 from identknee.report.scene import distance_from_femur
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee

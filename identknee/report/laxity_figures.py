@@ -32,8 +32,7 @@ from identknee.report.figures import (
     rows_down,
     wrapped,
 )
-from identknee.runs.arrays import Array, BoolArray, IntArray, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry, frozen
 from identknee.runs.words import label, unit_of
 
 MOST_PANELS, MOST_TRIALS, IN_A_ROW = 12, 24, 3

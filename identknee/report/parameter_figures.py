@@ -33,7 +33,7 @@ from identknee.report.figures import (
     wrapped,
 )
 from identknee.runs import words
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import label_without_unit, listed
 
 # Nested sets beside the profile's own.

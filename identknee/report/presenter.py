@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 from typing_extensions import override
 
 from identknee.laxity.protocol import Protocol
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.findings import Finding, doubt_of
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee

@@ -16,8 +16,7 @@ from identknee.mechanics.ligament_tensions import line_courses
 from identknee.mechanics.pose import Placement, place, start_pose
 from identknee.model.laxity_model import lines_in_bones
 from identknee.report.figures import Figure, show_figures
-from identknee.runs.arrays import Array, IntArray, frozen
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry, frozen
 from identknee.subject.knee import Knee
 
 FEMUR, TIBIA, LIGAMENT = "#8ec7e8", "#5b9bc8", "#c8102e"

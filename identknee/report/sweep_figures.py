@@ -23,7 +23,7 @@ from identknee.report.figures import (
     panel_row,
     panel_rows,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.verbs.demo import StartFits
 
 # Objectives below this share of the axis are rounding; they are drawn at its foot.

@@ -1,4 +1,4 @@
-from .arrays import Array as Array
+from .declare import Array as Array
 from .executors import Executor as Executor
 from .executors import dask_cluster as dask_cluster
 from .executors import executor_of as executor_of

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 
 # Rows per block, so that temporary arrays stay small and their memory is used again. For millions
 # of rows at once, allocating them takes longer than the arithmetic.

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, array, declared, entry
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface

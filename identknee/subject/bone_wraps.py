@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.subject.knee import Knee
 from identknee.subject.ligament import Ligament, Obstacle, circle_through, way_over

@@ -9,8 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.mechanics.pose import angles_of
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.findings import Finding, Severity, by_severity, finding
 from identknee.runs.triangles import longest_sides, side_names
 from identknee.subject.femoral_distance import distance_to_femur

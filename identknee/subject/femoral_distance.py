@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame
 from identknee.subject.surface import Surface
 

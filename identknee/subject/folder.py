@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, StringConstraints, create_model, model_validator
 
-from identknee.runs.arrays import CHECK_UNITS, implausible_coordinates
+from identknee.runs.declare import CHECK_UNITS, implausible_coordinates
 from identknee.runs.errors import InputError, ValueRefused
 from identknee.runs.files import PathLike, prepare_folder, whatever_case, write_atomically
 from identknee.runs.progress import progress

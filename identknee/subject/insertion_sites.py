@@ -32,8 +32,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, array, declared, entry
 from identknee.subject.anatomy import (
     Anatomy,
     Compartment,

@@ -9,8 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates, short_repr
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import (
+    CHECK_UNITS,
+    Array,
+    declared,
+    entry,
+    frozen,
+    implausible_coordinates,
+    short_repr,
+)
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.runs.words import amount, unit_of
 from identknee.subject.ligament import Ligament, LigamentGroup, check_groups

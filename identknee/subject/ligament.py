@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from identknee.runs.arrays import CHECK_UNITS, Array, frozen, implausible_coordinates
+from identknee.runs.declare import CHECK_UNITS, Array, frozen, implausible_coordinates
 from identknee.runs.errors import ValueRefused, suggestion
 
 # A line that passes the axis at less than this share of the radius has no defined side.

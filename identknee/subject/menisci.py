@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from identknee.mechanics.contact_points import RimDistance, rim_distance
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 from identknee.runs.errors import ValueRefused
 from identknee.subject.anatomy import TYPICAL_WIDTH
 from identknee.subject.knee import EffectChoice, Knee, StatedPrior

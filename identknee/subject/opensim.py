@@ -13,8 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from identknee.runs.arrays import Array, BoolArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, whatever_case
 from identknee.runs.words import capitalised

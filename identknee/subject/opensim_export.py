@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.pose import angles_of
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.subject.examples import opensim_file

@@ -5,8 +5,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable
 from identknee.runs.schema import shown

@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import ValueRefused
 from identknee.subject.ligament import Obstacle, circle_through, way_over
 from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel, Transform

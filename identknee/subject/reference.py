@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.subject.examples import REFERENCE
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.ligament import Ligament

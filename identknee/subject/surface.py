@@ -10,17 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identknee.runs.arrays import (
+from identknee.runs.declare import (
     CHECK_UNITS,
     Array,
     BoolArray,
     IntArray,
+    declared,
+    entry,
     frozen,
     frozen_integers,
     implausible_coordinates,
     short_repr,
 )
-from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, check_readable, write_atomically
 from identknee.runs.triangles import doubled_areas, lengths, longest_sides, side_names

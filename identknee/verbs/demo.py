@@ -19,8 +19,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise, laxity_rmse, write_laxity
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import OF_PARAMETER, Array, IntArray, array, declared, derived, entry
 from identknee.runs.executors import Executor, executor_of, serial, threads
 from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject

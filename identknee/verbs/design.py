@@ -47,8 +47,7 @@ from identknee.model.candidate_laxity import (
 )
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import AT, quantity_named
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, array, declared, derived, entry
+from identknee.runs.declare import OF_COORDINATE, Array, array, declared, derived, entry
 from identknee.runs.errors import suggestion
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee

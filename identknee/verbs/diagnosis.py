@@ -59,8 +59,15 @@ from identknee.model.effects.effect import OF, Effect
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_PARAMETER,
+    Array,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.executors import Executor
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Doubt, Finding, doubt_of, finding, without_repeats

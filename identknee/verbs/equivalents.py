@@ -16,8 +16,7 @@ from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.line_loads import tensions_of
 from identknee.model.quantities import force_names, quantity_named
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, Array, array, declared, entry
 from identknee.runs.progress import planned
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, has_priors

@@ -84,10 +84,11 @@ from identknee.model.mechanics_inputs import poses_of
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import AT, TENSION
-from identknee.runs.arrays import Array, BoolArray
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_PARAMETER,
+    Array,
+    BoolArray,
     array,
     declared,
     derived,

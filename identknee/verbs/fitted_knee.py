@@ -9,7 +9,7 @@ from identknee.checks.usable_trials import table_model
 from identknee.model.nuisances import contact_rounding, insertions
 from identknee.model.parameter_groups import tied
 from identknee.model.parameters import STIFFNESS, STRAIN
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import AXES, BONES, EffectChoice, Knee, with_stated_uncertainty
 from identknee.verbs.answer import Answer
 from identknee.verbs.verb import knee_digest

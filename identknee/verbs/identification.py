@@ -56,8 +56,7 @@ from identknee.model.force_residuals import weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
 from identknee.runs.findings import Finding, Severity

@@ -9,8 +9,7 @@ from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.effects.effect import Effect
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import PathLike
 from identknee.subject.knee import UncertainLike

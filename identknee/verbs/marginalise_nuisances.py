@@ -23,7 +23,7 @@ from identknee.model.force_residuals import ForceResiduals, SuperpositionResidua
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import Executor
 from identknee.verbs.identification import Identification, best_fits
 

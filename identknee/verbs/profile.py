@@ -29,8 +29,7 @@ from identknee.identify.profile.result import (
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import TrialsLike, read_trials
 from identknee.model.quantities import force_names, quantity_named
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, derived, entry
 from identknee.runs.findings import Doubt, Finding
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, has_priors

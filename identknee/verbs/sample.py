@@ -27,11 +27,12 @@ from identknee.model.line_loads import tensions_of
 from identknee.model.parameters import FreeParameters, Parameters
 from identknee.model.quantities import PredictedQuantity, quantity_named
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_PARAMETER,
     OF_QUANTITY,
+    Array,
+    IntArray,
     array,
     declared,
     derived,

@@ -15,8 +15,7 @@ from identknee.laxity.table import Laxity, TrialsLike, read_tests
 from identknee.laxity.trial_words import LaxityGroup, laxity_groups
 from identknee.model.laxity_model import model_for_tests
 from identknee.model.quantities import LaxityOutputs
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import PathLike, digest
 from identknee.runs.findings import finding

@@ -24,8 +24,15 @@ from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_COORDINATE,
+    OF_PARAMETER,
+    Array,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.record import Outcome
 from identknee.verbs import options
 from identknee.verbs.answer import Answer

@@ -12,8 +12,7 @@ from identknee.laxity.named_tables import TABLES
 from identknee.laxity.table import TrialsLike, example_laxity, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
 from identknee.model.laxity_model import model_for_tests
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, derived, entry
+from identknee.runs.declare import Array, array, declared, derived, entry
 from identknee.runs.executors import executor_of, threads
 from identknee.runs.files import PathLike
 from identknee.runs.findings import Severity

@@ -22,8 +22,7 @@ from identknee.identify.sweep import survey as surveyed
 from identknee.identify.sweep import sweep as searched
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.runs.findings import Finding
 from identknee.runs.progress import planned
 from identknee.verbs import options

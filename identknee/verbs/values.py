@@ -8,8 +8,7 @@ from typing import Any, cast
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_COORDINATE, array, declared, entry
+from identknee.runs.declare import OF_COORDINATE, Array, array, declared, entry
 
 STIFFNESS, LARGEST_STIFFNESS_KN = ".stiffness_kN", 1000.0
 

@@ -16,7 +16,7 @@ from profile_tables import tables
 import identknee as ik
 from identknee.calibrate.problem import typical_steps
 from identknee.report.figures import COLOURS, MARKERS, STYLES, bare
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.schema import from_plain
 from identknee.runs.words import label, label_without_unit
 

@@ -15,7 +15,7 @@ from scipy.stats import beta, chi2
 from scipy.stats import f as f_distribution
 
 import identknee as ik
-from identknee.runs.arrays import BoolArray
+from identknee.runs.declare import BoolArray
 
 KNEE = "reference"
 UNITS = {"none": "", "insertions": "mm", "load axes": "deg", "tibial frame": "deg"}

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 Row = Mapping[str, Any]
 CAPSULE_KNEES = ("reference", "lenhart2015_stable", "s192803_bundles")

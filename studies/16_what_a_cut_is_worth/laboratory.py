@@ -18,7 +18,7 @@ from identknee.model.contact_loads import contact_values
 from identknee.model.line_loads import structure_values
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import EffectChoice, Uncertainty
 from identknee.verbs.fitted_knee import knee_as_fitted
 from identknee.verbs.identification import Identification, identification

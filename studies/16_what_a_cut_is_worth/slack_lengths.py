@@ -18,7 +18,7 @@ from identknee.model.line_loads import (
 )
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Uncertainty
 from identknee.subject.ligament import Ligament, LigamentGroup

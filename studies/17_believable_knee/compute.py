@@ -35,7 +35,7 @@ from identknee.model.candidate_laxity import CONTACT_SD, TENSION_SD
 from identknee.model.contact_loads import COMPARTMENTS, contact_values
 from identknee.model.discrepancy import SmoothDiscrepancy
 from identknee.model.line_loads import strains_of, tensions_of
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import serial
 from identknee.subject.knee import EffectChoice, with_stated_uncertainty
 from identknee.subject.plausibility import CONTACT, strengths_by_name

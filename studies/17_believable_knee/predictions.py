@@ -11,7 +11,7 @@ from identknee.laxity.protocol import LOADS, Protocol
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.discrepancy import SmoothDiscrepancy
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.verbs.fit import extended_by_fit, prediction_uncertainty
 
 # What a load moves most: the value that laxity is judged by.

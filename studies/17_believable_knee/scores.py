@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 LEVEL = 0.9
 DRAWS = 9999

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def largest_by(values: Array, labels: Sequence[object], order: Sequence[object]) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from common.published import PublishedLaxity
 from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.report.figures import BLACK, COLOURS, GREY, MARKERS, SMALL, STYLES
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SPREAD_SEED = 0
 JITTER = 0.11

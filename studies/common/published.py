@@ -11,7 +11,7 @@ import numpy as np
 
 from identknee.laxity.protocol import LOADS, SAME_ANGLE_DEG, trial_name
 from identknee.laxity.table import COORDINATES, Laxity, relative_to_unloaded
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 PAPER = (
     "Influence of the Initial Guess on the Estimation of Knee Ligament Parameters via "

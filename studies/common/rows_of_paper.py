@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from common.published import PublishedError, PublishedLaxity
 from identknee.report.presenter import Cell, Column, Table
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.verbs.demo import parameter_error
 
 

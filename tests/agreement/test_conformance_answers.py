@@ -13,7 +13,7 @@ from conformance.construction import plain_parameters
 from conformance.score import conformance_cases
 
 from identknee.calibrate.problem import ParameterQuantity, Problem
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 CASES = {case.name: case for case in conformance_cases()}
 # How near an end the deviance must cross the threshold, as a share of half the width.

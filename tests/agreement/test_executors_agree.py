@@ -18,7 +18,7 @@ from identknee.calibrate.fit import fit_many
 from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import Executor, process_pool, serial, threads
 
 HAS_DASK = importlib.util.find_spec("distributed") is not None

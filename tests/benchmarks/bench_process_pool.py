@@ -13,7 +13,7 @@ from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem
 from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import Executor, process_pool, serial
 from identknee.runs.store import resumable_map
 

@@ -13,7 +13,7 @@ from requirement_rows import Measure, median_of
 
 from identknee.laxity.protocol import LOADS, Protocol, trial_name
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.examples import FOLDER
 
 HERE = Path(__file__).parent

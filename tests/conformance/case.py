@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from identknee.calibrate.problem import Problem, Quantity
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
+from identknee.runs.declare import Array, frozen
 
 Intervals = tuple[tuple[float, float], ...]
 

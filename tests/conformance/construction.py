@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from conformance.case import Case, Formula, Intervals
 from identknee.calibrate.problem import ParameterQuantity, UserQuantity
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 INF = math.inf
 # Signed root of the deviance's rise at the end of a 95 % interval: 1.95996.

@@ -15,7 +15,7 @@ from conformance.construction import (
     plain_parameters,
 )
 from identknee.calibrate.problem import ParameterQuantity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 STRUCTURALLY = {"lower": FLAT, "upper": FLAT, "verdict": "structurally_suspect"}
 WIDE = (-1e3, 1e3)

@@ -6,7 +6,7 @@ from conformance.case import Answer, Case
 from identknee.calibrate.problem import Problem
 from identknee.identify.profile.profile import profile_quantities
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def identknee_tool(case: Case) -> Answer:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Central differences with a step of 1e-5 of potentials up to 1e6 N mm.
 DIFFERENCE = 1e-6

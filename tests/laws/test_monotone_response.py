@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from identknee.laxity.protocol import LOADS, Protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # How far a coordinate moves at least between two steps of a ramp [mm], angles times 40 mm.
 ROUNDING_MM = 1e-9

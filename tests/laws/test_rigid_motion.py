@@ -16,7 +16,7 @@ from identknee.model import laxity_model as joint
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The grid of the distance field begins at the lowest vertex, which rounds: the spline differs by
 # 1e-13 mm under contact of 1,000 N/mm, where margins are near 1 N/mm.

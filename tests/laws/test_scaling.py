@@ -11,7 +11,7 @@ from identknee.mechanics.distance_field import DistanceField
 from identknee.mechanics.equilibria import ContactPoints, LineLigaments, load_paths, solve
 from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.laxity_model import ContactGeometry, LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Stiffer or larger, the same residual leaves the pose elsewhere by as much less or more; paths of
 # other steps end on the same branch to 1e-9, here times the largest factor.

@@ -21,7 +21,7 @@ from identknee.model.laxity_model import ContactGeometry, LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 
 # Simpson's rule over forces whose slope jumps where a point begins to touch: the worst of 1,500
 # paths errs by 3e-6 of the largest force.

@@ -12,7 +12,7 @@ from tolerances import PINNED, PUBLISHED_MM_OR_DEG
 
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The calibration's laxities are given to 0.01, from meshes of another resolution.
 LAXITY = 0.05

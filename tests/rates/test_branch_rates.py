@@ -7,7 +7,7 @@ from tolerances import ORDER
 
 from identknee.laxity.protocol import Protocol
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Each point that begins to touch bends the branch a little, so that single steps scatter: the order
 # is that of the median over eight halvings.

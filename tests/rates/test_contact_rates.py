@@ -11,7 +11,7 @@ from identknee.mechanics.contact_points import contact_points
 from identknee.mechanics.equilibria import ContactPoints
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import reference_knee
 
 TRIALS = (0, 10, 25, 40, 60)

@@ -6,7 +6,7 @@ from energy_evaluation import field_values
 from tolerances import ORDER
 
 from identknee.mechanics.distance_field import DistanceField, build_field
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 RADIUS = 8.0
 SPACINGS = (0.8, 0.5, 0.3)

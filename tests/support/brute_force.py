@@ -6,7 +6,7 @@ import numpy as np
 import scipy.optimize
 
 from identknee.calibrate.problem import Problem, restricted
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 @dataclass(frozen=True, kw_only=True)

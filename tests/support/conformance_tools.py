@@ -14,7 +14,7 @@ import numpy as np
 from conformance.case import Answer, Case
 
 from identknee.calibrate.problem import ParameterQuantity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N_STARTS = 16
 # A deviance for where there is no prediction; these tools want numbers.

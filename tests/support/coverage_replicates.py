@@ -12,7 +12,7 @@ from identknee.calibrate.problem import Evaluator, ParameterQuantity
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 # Of the deviance, beside a threshold of 3.84: what the fits may leave.

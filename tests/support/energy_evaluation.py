@@ -15,7 +15,7 @@ from identknee.mechanics.equilibria import workspace
 from identknee.mechanics.memory import N_LISTINGS, N_TOUCHING, POINT, record
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.laxity_model import ContactGeometry, LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Millimetres and newtons beside radians and newton millimetres.
 SCALE = np.array([40.0, 40.0, 1.0, 1.0, 1.0])

@@ -21,7 +21,7 @@ from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee, Uncertainty
 from identknee.verbs.identification import Identification, identification
 

@@ -9,7 +9,7 @@ import pytest
 
 from identknee.calibrate.fit import Fit
 from identknee.identify.optimum import REACH_OF_HOPS, with_fits_from
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Beside the first, and in each of as many rounds of hops.
 FEW, FEW_ROUNDS = 2, 1

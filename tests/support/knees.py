@@ -15,7 +15,7 @@ from identknee.mechanics.memory import N_TOUCHING, ROTATION_SCALE
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.folder import example
 from identknee.subject.knee import Knee
 

@@ -17,7 +17,7 @@ from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.plausibility import Limit
 from identknee.verbs.identification import identification
 

@@ -2,7 +2,7 @@
 
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def line_gradient(setting: MechanicsInputs, flexion: Array, poses: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from energy_evaluation import femoral_places, field_values
 
 from identknee.mechanics.equilibria import Menisci
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 ROUNDING = 0.15  # mm
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.subject.surface import Surface
 
 Polygons = list[list[int]]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 from identknee.subject.surface import joined, write_surface
 

@@ -28,7 +28,7 @@ from identknee.model.effects.library import library
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.nuisances import Registration, load_axes
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.folder import example
 from identknee.subject.knee import Uncertainty
 

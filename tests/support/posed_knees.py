@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Frame, Knee, Side
 from identknee.subject.ligament import Ligament

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 LIGAMENTS = ("ACL", "PCL", "LCL", "MCL")
 # Table 1 of the paper: kN, then %.

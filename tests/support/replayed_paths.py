@@ -7,7 +7,7 @@ import numpy as np
 from identknee.laxity.forces import WRENCH, Superposition
 from identknee.model.force_residuals import structure_wrenches
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD_N, SD_NM = 5.0, 0.2
 SD = np.array([SD_N] * 3 + [SD_NM] * 3)

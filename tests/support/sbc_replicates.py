@@ -12,7 +12,7 @@ from identknee.identify.posterior.posterior import StopRule, prior_draws
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.laxity.table import add_noise
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 
 N_DRAWS = 100
 NOISE = 0.5  # mm and deg

@@ -11,7 +11,7 @@ import numpy as np
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface, joined

@@ -35,7 +35,7 @@ from identknee.laxity import experiments
 from identknee.laxity.experiment_tables import joined
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.capsule import with_capsule
 from identknee.subject.knee import Knee
 

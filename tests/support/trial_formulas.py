@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 @dataclass(frozen=True, kw_only=True)

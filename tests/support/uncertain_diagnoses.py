@@ -14,7 +14,7 @@ from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.score import detection_power
 from identknee.diagnosis.verdict import Verdict
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 

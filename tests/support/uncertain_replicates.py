@@ -14,7 +14,7 @@ from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, 
 from identknee.calibrate.problem import Evaluator
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 from identknee.verbs.identification import identification
 

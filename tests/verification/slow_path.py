@@ -7,7 +7,7 @@ import numpy as np
 from knees import SCALE, PoseEnergy
 from scipy.optimize import minimize
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 LOAD_STEP = 100.0 / SCALE[0]  # N: 0.1 N m over the rotation scale
 FLEXION_STEP = float(np.radians(0.5))

@@ -9,7 +9,7 @@ from requirement_rows import Measure, Row, largest_of
 from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 BAR = 1e-9  # mm or deg
 ENOUGH_MARGIN = 0.5  # N/mm

@@ -20,7 +20,7 @@ from work_store import work_store
 from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.problem import Evaluator, ParameterQuantity
 from identknee.identify.profile.result import bootstrap_statistics, resimulated
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import Store, resumable_map
 from identknee.verbs.verb import knee_digest

@@ -10,7 +10,7 @@ from oracle import State
 from requirement_rows import Row, largest_of
 
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 POSES = 12
 BAR = 1e-8

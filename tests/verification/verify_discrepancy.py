@@ -14,7 +14,7 @@ from identknee.calibrate.fit import fit
 from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import ligament_forces
-from identknee.runs.arrays import BoolArray
+from identknee.runs.declare import BoolArray
 from identknee.subject.capsule import with_capsule
 from identknee.verbs.identification import identification
 

@@ -17,7 +17,7 @@ from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import ligament_forces
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD = 0.5
 N_SETS = 100

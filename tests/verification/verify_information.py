@@ -12,7 +12,7 @@ from identknee.identify.information import spectrum
 from identknee.laxity.table import add_noise
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 BAR = 1e-6
 VECTORS = 9

@@ -16,7 +16,7 @@ from requirement_rows import Measure, Row
 import identknee as ik
 from identknee.checks.usable_trials import table_model
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 KEPT = KeptOutcomes("lowest_fit")
 # How many data sets of each knee.

@@ -11,7 +11,7 @@ from identknee.mechanics.ligament_tensions import ligament_wrench
 from identknee.mechanics.mesh_contact import Convention, mesh_contact
 from identknee.mechanics.pose import coordinate_jacobian, place
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import reference_knee
 
 EDGES_MM = (2.0, 1.2, 0.8)

@@ -13,7 +13,7 @@ from slow_path import follow_slowly
 from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 VECTORS = 10_000

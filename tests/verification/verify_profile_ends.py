@@ -14,7 +14,7 @@ from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import ParameterQuantity
 from identknee.identify.profile.profile import profile
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import process_pool
 from identknee.runs.store import resumable_map
 from identknee.verbs.verb import knee_digest

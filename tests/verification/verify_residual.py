@@ -11,7 +11,7 @@ from requirement_rows import Row, largest_of
 
 from identknee.checks.subject_checks import box_sample
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 BAR = 1e-6  # N, moments divided by 40 mm
 VECTORS = 150

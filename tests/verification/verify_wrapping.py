@@ -18,7 +18,7 @@ from identknee.laxity.table import ROTATIONS, TRANSLATIONS
 from identknee.mechanics.ligament_tensions import ligament_tensions
 from identknee.mechanics.pose import coordinates_from_pose
 from identknee.model.laxity_model import LaxityModel, lines_in_bones
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.examples import opensim_file
 from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee

@@ -20,8 +20,7 @@ from identknee.identify.posterior.posterior import (
     newton_kernel,
     working_center,
 )
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared
+from identknee.runs.declare import Array, array, declared
 
 # A trajectory takes so many leapfrog steps, each of this length on average and up to this part of
 # it longer or shorter; together about a quarter of a turn around the posterior.

@@ -24,8 +24,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.identify.binomial_interval import share
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, BoolArray, IntArray, array, declared, entry
 from identknee.runs.record import Record, WithSentence
 
 # Standard deviation, in distances of the bounds, of a normal prior that is uniform to 0.1 %.

@@ -31,8 +31,7 @@ from identknee.identify.posterior.posterior import (
     prior_quantiles,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, frozen
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, entry, frozen
 from identknee.runs.executors import Executor, serial
 from identknee.runs.progress import progress_bar
 from identknee.runs.record import Record, record

@@ -18,8 +18,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.identify.profile.result import EndOrigin, Side, SideStatus
 from identknee.identify.profile.walk import AT_END, ProfileContext, ProfilePoint, march
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.runs.record import Outcome
 
 # Share of the interval: an end that moves by more is set by the bound that was widened.

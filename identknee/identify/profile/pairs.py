@@ -12,8 +12,7 @@ from identknee.calibrate.problem import Evaluator, ParameterQuantity, Problem, t
 from identknee.identify.profile.result import SideStatus, chi2_threshold, crossings, threshold_below
 from identknee.identify.profile.walk import BetterOptimumFound, ProfileContext, march
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import OF_PARAMETER, array, declared, entry
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.store import Store, resumable_map
 

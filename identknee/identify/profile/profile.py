@@ -50,7 +50,7 @@ from identknee.identify.profile.walk import (
     march,
 )
 from identknee.identify.sweep import sobol_starts
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 from identknee.runs.schema import from_plain, to_plain

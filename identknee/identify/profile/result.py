@@ -14,8 +14,16 @@ from typing_extensions import override
 
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
 from identknee.calibrate.problem import Evaluator, Problem, ProblemAround, Quantity
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import OF_PARAMETER, OF_QUANTITY, array, declared, derived, entry
+from identknee.runs.declare import (
+    OF_PARAMETER,
+    OF_QUANTITY,
+    Array,
+    IntArray,
+    array,
+    declared,
+    derived,
+    entry,
+)
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Doubt
 from identknee.runs.store import Store, resumable_map

@@ -23,7 +23,7 @@ from identknee.calibrate.problem import (
     thin_svd,
 )
 from identknee.identify.profile.result import EndOrigin, Side, SideStatus, crossings
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 from identknee.runs.record import Outcome
 
 # Points tried until one has a prediction, and fits made from those that have one.

@@ -26,8 +26,7 @@ from identknee.model.mechanics_inputs import (
     with_replicas,
 )
 from identknee.model.parameters import FreeParameters, Parameters
-from identknee.runs.arrays import Array, BoolArray, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, BoolArray, IntArray, declared, entry
 
 
 class Effect(Protocol):

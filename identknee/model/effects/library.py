@@ -50,7 +50,7 @@ from identknee.model.effects.tissues import (
     toe_strain,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import suggestion
 from identknee.subject.anatomy import anatomy
 from identknee.subject.capsule import SHEETS

@@ -9,8 +9,7 @@ import numpy as np
 from identknee.model.effects.effect import effect_of
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, declared, entry
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
 

@@ -22,7 +22,7 @@ from identknee.model.effects.effect import (
 )
 from identknee.model.effects.facts import REMOUNTING
 from identknee.model.mechanics_inputs import MechanicsInputs
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.subject.knee import Knee
 
 FRAME_SD, FRAME_LIMIT = 2.0, 10.0  # deg

@@ -11,8 +11,7 @@ from identknee.mechanics.ligament_tensions import ligament_tensions, line_gradie
 from identknee.model.effects.effect import amplitudes
 from identknee.model.mechanics_inputs import PER_KN, PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
-from identknee.runs.arrays import Array
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, array, declared, entry
 from identknee.subject.knee import AXES, BONES, Knee, Points
 from identknee.subject.menisci import SIDES
 

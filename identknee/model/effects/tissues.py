@@ -16,8 +16,7 @@ from identknee.model.effects.effect import (
 )
 from identknee.model.mechanics_inputs import PER_PCT, MechanicsInputs, with_lines
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import AXES, BONES, Knee
 from identknee.subject.menisci import MENISCI, MOST_OFFSET, MOST_STIFFNESS, SIDES

@@ -12,7 +12,7 @@ from identknee.identify.optimum import NuisanceEstimate, group_name
 from identknee.identify.profile.result import Profile
 from identknee.laxity.trial_words import trial_description
 from identknee.report.presenter import Drawing, Presenter, Question, Statement, Table, table
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.marginalise import SHARE
 from identknee.runs.schema import summary_of
 from identknee.runs.words import (

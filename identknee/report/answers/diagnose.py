@@ -35,7 +35,7 @@ from identknee.report.presenter import (
     open_ends_text,
     table,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.findings import Severity
 from identknee.runs.schema import summary_of
 from identknee.runs.words import (

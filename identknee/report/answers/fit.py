@@ -24,7 +24,7 @@ from identknee.report.presenter import (
     settings_of,
     table,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.runs.words import amount, coordinate_words, label, listed, unit_of

@@ -7,7 +7,7 @@ from typing_extensions import override
 
 from identknee.identify.information import Boundary, shares
 from identknee.report.presenter import SDS_95, Drawing, Presenter, Range, Source, Statement, table
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import label, label_without_unit, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.information import LocalIdentifiability

@@ -17,7 +17,7 @@ from identknee.report.presenter import (
     settings_of,
     table,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.words import interval, label, listed, parameter_words
 from identknee.subject.knee import Knee
 from identknee.verbs.sample import Marginal, PredictedMarginal, Sample

@@ -33,8 +33,7 @@ from identknee.report.page.results import Findings, Result
 from identknee.report.page.viewer import KneeScene, Mesh, scene_at
 from identknee.report.presenter import Drawing, Range, presenter_of
 from identknee.report.scene import LIGHT, View, view_from
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import declared, entry
+from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.record import Outcome
 from identknee.subject.plausibility import TENSION, strengths_by_name
 from identknee.verbs.answer import Answer

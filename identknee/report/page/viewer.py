@@ -26,8 +26,7 @@ from identknee.report.page.markup import beside, environment
 from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of, settings_of
 from identknee.report.scene import distance_from_femur
-from identknee.runs.arrays import Array, IntArray, frozen, frozen_integers
-from identknee.runs.declare import array, declared, entry
+from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
 from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
 from identknee.subject.knee import Frame, Knee

@@ -7,7 +7,7 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 
 from identknee.blind import energy
 from identknee.mechanics.pose import coordinates_from_pose
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 TOE = 0.03
 

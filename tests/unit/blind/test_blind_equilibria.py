@@ -7,7 +7,7 @@ import pytest
 
 from identknee.blind import energy, equilibrium, experiment
 from identknee.blind.experiment import BAND_MM, distance_grid
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import reference_knee
 
 MODULUS, EXPONENT = 8.6, 1.25

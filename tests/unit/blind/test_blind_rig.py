@@ -12,7 +12,7 @@ from tolerances import CLOSED_FORM
 
 from identknee.blind import energy
 from identknee.blind.experiment import _read
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 VARUS, INTERNAL, ANTERIOR, DISTRACTION, LATERAL = range(5)
 VARUS_DEG, INTERNAL_DEG = 3, 4

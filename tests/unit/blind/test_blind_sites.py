@@ -7,7 +7,7 @@ from posed_knees import posed_reference
 
 from identknee.blind.case import Noise, amplitude_for_signal, unexplained_norm
 from identknee.blind.hidden import anatomical_sites, structure_insertions
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import reference_knee
 
 NOISE = Noise(sd_mm=0.3, sd_deg=0.3, correlation=0.3)

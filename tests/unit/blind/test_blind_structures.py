@@ -14,7 +14,7 @@ from identknee.blind.effects import BY_NAME, EFFECTS, LISTED, UNLISTED
 from identknee.blind.experiment import DistanceGrid, Experiment
 from identknee.blind.hidden import line_row, structure_insertions
 from identknee.blind.structures import N_PADS
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 STRUCTURES = ("anterolateral", "posteromedial", "popliteofibular", "deep_mcl")
 N = 3000

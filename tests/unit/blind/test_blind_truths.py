@@ -22,7 +22,7 @@ from identknee.blind.conditions import Conditions, TruncatedNormal
 from identknee.blind.effects import EFFECTS, LISTED, UNLISTED
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N = 2000
 # A share counted N times, five standard errors at most.

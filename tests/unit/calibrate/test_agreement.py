@@ -10,7 +10,7 @@ from scipy.stats import binomtest, chi2, kstest
 
 from identknee.calibrate.agreement import Agreement, agreement
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N, P = 12, 3
 TERMS = {"one": np.arange(N), "other": np.arange(N, 2 * N)}

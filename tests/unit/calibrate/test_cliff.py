@@ -14,7 +14,7 @@ from identknee.calibrate import least_squares
 from identknee.calibrate.fit import fit
 from identknee.calibrate.least_squares import descent_around_cliff
 from identknee.calibrate.problem import Evaluator
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 SCALES = np.array([3.0] * 4 + [2.0] * 4)

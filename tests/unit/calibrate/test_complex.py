@@ -8,7 +8,7 @@ from problems import IG2, IG4, linear, sloppy_springs
 
 from identknee.calibrate.population import Complex, minimise_by_complex
 from identknee.calibrate.problem import Evaluator
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 START = np.array([5.0, 0.5])

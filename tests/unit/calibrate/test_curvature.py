@@ -9,7 +9,7 @@ from problems import ClosedForm, plain_parameters
 from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
 from identknee.calibrate.problem import LARGE, Curvature, Evaluator, ParameterQuantity, evaluate
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 T = np.arange(1, 21) / 5.0

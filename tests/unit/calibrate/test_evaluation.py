@@ -5,7 +5,7 @@ import pytest
 from problems import Cliff, ClosedForm, linear, sloppy_springs
 
 from identknee.calibrate.problem import Evaluation, Evaluator, SearchEnded, evaluate, jump
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 

@@ -4,7 +4,7 @@ from problems import ClosedForm, active_bounds, linear
 
 from identknee.calibrate.least_squares import GaussNewton, gauss_newton
 from identknee.calibrate.problem import Evaluation, evaluate
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def at(problem: ClosedForm, theta: Array) -> GaussNewton:

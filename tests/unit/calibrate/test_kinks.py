@@ -5,7 +5,7 @@ import pytest
 
 from identknee.calibrate.bounded_least_squares import KinkModels, minimise_max_model
 from identknee.calibrate.problem import Evaluation
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 ANYWHERE = (np.full(2, -np.inf), np.full(2, np.inf))
 ONES = np.ones(2)

@@ -18,7 +18,7 @@ from problems import (
 
 from identknee.calibrate.fit import fit
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 # What the benchmark wants of noise-free data, in kN and %.

@@ -21,7 +21,7 @@ from identknee.calibrate.problem import (
     with_priors_of,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Central differences of smooth functions of order one, step 1e-6.
 DIFFERENCE = 1e-8

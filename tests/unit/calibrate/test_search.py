@@ -4,7 +4,7 @@ from problems import linear
 
 from identknee.calibrate.population import run_search, uniform_box
 from identknee.calibrate.problem import Evaluator, SearchEnded
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 

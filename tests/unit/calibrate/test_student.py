@@ -6,7 +6,7 @@ from problems import Linear
 from identknee.calibrate.fit import Fit, fit, fit_student, student_scales
 from identknee.calibrate.problem import Problem
 from identknee.model.parameters import ligament_parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 TRUTH = np.array([10.0, 18.0, 1.0, -2.0])
 N = 200

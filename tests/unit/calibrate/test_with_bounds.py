@@ -8,7 +8,7 @@ import pytest
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import with_bounds
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 @dataclass(frozen=True)

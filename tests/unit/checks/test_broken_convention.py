@@ -20,7 +20,7 @@ from identknee.laxity.protocol import LOADS, load_protocol
 from identknee.laxity.table import COORDINATES
 from identknee.model.effects.effect import ReadingError, amplitudes
 from identknee.model.effects.library import library
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 pytestmark = pytest.mark.usefixtures("few_starts")
 

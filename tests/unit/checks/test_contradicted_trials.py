@@ -22,7 +22,7 @@ from identknee.checks.table_checks import (
 )
 from identknee.diagnosis.investigation import investigate
 from identknee.laxity.protocol import concatenate
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.capsule import with_capsule
 
 pytestmark = pytest.mark.usefixtures("few_starts")

@@ -12,7 +12,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import unbalanced_load, wrench_at_measured_poses
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 

@@ -8,7 +8,7 @@ import pytest
 from identknee.checks.data_noise import DataNoise, NoiseSource, noise_of
 from identknee.laxity.protocol import Protocol, load_protocol
 from identknee.laxity.table import Laxity
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD = np.array([0.4, 0.4, 0.4, 0.7, 0.7])
 CORRELATION = 0.3

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import identknee as ik
 from identknee.cli.app import Command, CommandGroup
 from identknee.runs import crash_report as unforeseen
-from identknee.runs.arrays import frozen
+from identknee.runs.declare import frozen
 from identknee.runs.errors import NotComputable
 from identknee.runs.files import digest
 from identknee.verbs.verb import knee_digest

@@ -8,7 +8,7 @@ from identknee.checks.data_noise import Curve
 from identknee.diagnosis.misfit import Projector, base_projector
 from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score import Signature
-from identknee.runs.arrays import Array, BoolArray
+from identknee.runs.declare import Array, BoolArray
 
 FLEXIONS = (0.0, 30.0, 60.0)
 LEVELS = np.arange(-10.0, 11.0, 2.0)

@@ -10,7 +10,7 @@ from identknee.diagnosis.gain import Fold, Observations, held_out_folds
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.laxity.protocol import Protocol
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD = 0.3
 N_VALUES = 315

@@ -34,7 +34,7 @@ from identknee.laxity.table import add_noise
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import reference_knee
 
 SOFT, OFFSET, PRESSED = "rig_compliance_IE", "moment_offset", "compression"

@@ -33,7 +33,7 @@ from identknee.model.effects.loads import compression
 from identknee.model.effects.tissues import toe_strain
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, Uncertainty
 

@@ -29,7 +29,7 @@ from identknee.diagnosis.gain import (
 from identknee.diagnosis.misfit import base_projector
 from identknee.diagnosis.noise_model import build_noise_model
 from identknee.model.discrepancy import LEAST_LENGTH, SmoothKernel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SOLVED = 1e6 * CLOSED_FORM
 

@@ -10,7 +10,7 @@ from identknee.calibrate.bounded_least_squares import ConstrainedFit
 from identknee.diagnosis import fitting
 from identknee.diagnosis.fitting import FittedModel, base_model, best_fit_from, descended
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 

@@ -18,7 +18,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.loads import compression
 from identknee.model.effects.structures import MissingStructure, structure_at
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.files import plain
 from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee

@@ -21,7 +21,7 @@ from identknee.diagnosis.misfit import (
     process_errors,
     smooth_patterns,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N_NULLS = 400
 LEVEL = 0.05

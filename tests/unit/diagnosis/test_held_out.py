@@ -29,7 +29,7 @@ from identknee.diagnosis.gain import (
     held_out,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.schema import summary_of
 
 # Solutions of systems with a condition number of some thousand.

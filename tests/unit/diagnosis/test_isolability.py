@@ -19,7 +19,7 @@ from identknee.diagnosis.isolability import (
     noncentrality_root,
 )
 from identknee.diagnosis.score import ProjectedSignature, project_signature
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Least squares by another route, of a few hundred rows.
 SOLVED = 1e-8

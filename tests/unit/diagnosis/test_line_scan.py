@@ -23,7 +23,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.effects.structures import structure_at
 from identknee.model.effects.tissues import Cartilage
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 from identknee.subject.reference import reference_knee
 

@@ -6,7 +6,7 @@ from linear_data import N_PARAMETERS, everything, linear_fit, protocol, unit_noi
 
 from identknee.diagnosis.misfit import LEVEL, TrialLayout, localise
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 FIT = linear_fit()
 FLEXION, LOADS, _ = protocol()

@@ -14,7 +14,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.effects.structures import structure_at
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import Knee
 

@@ -15,7 +15,7 @@ from identknee.model.effects.structures import MissingStructure
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import MissingWrench, missing_wrench
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The Hessian is that of one pose, so that a small force is found to a share of itself.
 LINEAR = 0.03

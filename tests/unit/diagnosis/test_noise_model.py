@@ -10,7 +10,7 @@ from tolerances import CLOSED_FORM
 from identknee.checks.data_noise import Curve, estimate_correlation, estimate_scale
 from identknee.diagnosis import noise_model
 from identknee.diagnosis.noise_model import build_noise_model
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N_DATA_SETS = 60
 # Solving with a covariance of condition about 1e4 costs as many digits.

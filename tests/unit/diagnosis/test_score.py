@@ -16,7 +16,7 @@ from identknee.diagnosis.score import (
     _corrected,
     score_test,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N_NULLS = 4000
 # Of the rate of false alarms: binomial, and that of the simulated quantile.

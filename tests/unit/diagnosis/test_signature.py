@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 from scipy.stats import norm
 
 from identknee.diagnosis.score import ProjectedSignature, Signature, project_signature
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Solving small systems of condition up to 1e4.
 SOLVED = 1e-9

@@ -16,7 +16,7 @@ from identknee.model.residuals import (
     surface_bumps,
     surface_changes,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 HEIGHT = 2e-4  # mm
 # A raised femur is what the columns are derivatives for, up to kinks where points just touch. The

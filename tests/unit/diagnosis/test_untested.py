@@ -29,7 +29,7 @@ from identknee.model.effects.effect import Effect
 from identknee.model.effects.facts import cause_label
 from identknee.model.effects.library import effect_named
 from identknee.report.presenter import statements_of
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.verbs.diagnosis import diagnosis_of

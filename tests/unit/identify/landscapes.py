@@ -6,7 +6,7 @@ import numpy as np
 from problems import plain_parameters
 
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 BOX = plain_parameters(2, -6.0, 6.0)
 

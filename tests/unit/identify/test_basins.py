@@ -9,7 +9,7 @@ from problems import disc_in_the_way
 
 from identknee.identify.sweep import NONE, find_basins, has_barrier, sobol_starts, sweep
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def test_two_wells_are_two_basins_of_half_the_volume() -> None:

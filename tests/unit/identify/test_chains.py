@@ -14,7 +14,7 @@ from identknee.identify.posterior.posterior import (
     split_rhat,
     tail_ess,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Of tau from 4 x 16 walkers x 2,000 steps: sqrt(2 (2 M + 1) / N), M = 5 tau, five times.
 TAU_ERROR = 0.2

@@ -11,7 +11,7 @@ from identknee.identify.posterior.posterior import (
     StopRule,
     check_convergence,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 RULE = StopRule()
 

@@ -32,7 +32,7 @@ from identknee.identify.design_criteria import (
 )
 from identknee.identify.information import scaled_units
 from identknee.identify.profile.result import SideStatus
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import threads
 
 Z95 = 1.959963984540054

@@ -8,7 +8,7 @@ import pytest
 
 from identknee.identify.design_criteria import Criterion, LocalLoss
 from identknee.identify.trial_choice import choose
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N, K = 4, 9
 

@@ -19,7 +19,7 @@ from identknee.identify.region import (
     noise_region,
     power_of_best_test,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import process_pool, serial
 from identknee.runs.store import open_work
 

@@ -19,7 +19,7 @@ from identknee.identify.region import (
     noise_region,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 VALUE = 1e-6
 

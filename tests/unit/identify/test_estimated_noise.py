@@ -5,7 +5,7 @@ import pytest
 from problems import Linear, plain_parameters
 
 from identknee.identify.optimum import with_estimated_noise
-from identknee.runs.arrays import IntArray
+from identknee.runs.declare import IntArray
 
 
 def linear(seed: int, sds: tuple[float, float], n: int) -> tuple[Linear, IntArray]:

@@ -10,7 +10,7 @@ from problems import Cliff, ClosedForm, linear, plain_parameters, sloppy_springs
 from identknee.calibrate.problem import restricted
 from identknee.identify import information as geodesic
 from identknee.identify.information import Boundary, Geodesic, geodesics, spectrum
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Steps of a tenth of a radian at most by the midpoint rule.
 PATH = 2e-3

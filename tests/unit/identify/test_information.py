@@ -16,7 +16,7 @@ from identknee.identify.information import (
     spectrum,
 )
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Central differences of closed forms over steps of 1e-1 to 1e-6.
 DIFFERENCES = 1e-8

@@ -19,7 +19,7 @@ from identknee.identify.laplace import (
     log_interval_mass,
 )
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SOLVED = 1e4 * CLOSED_FORM
 # 1,024 points of a Sobol sequence on smooth integrands; their own error is below.

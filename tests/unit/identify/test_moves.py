@@ -14,7 +14,7 @@ from identknee.identify.posterior.moves import (
     OwnKernelMove,
     SnookerMove,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 STEPS = 2000
 # Five standard errors, of variances from the effective draws of the squares.

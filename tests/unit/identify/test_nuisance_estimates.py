@@ -16,7 +16,7 @@ from identknee.calibrate.problem import (
 from identknee.checks.fit_checks import nuisance_findings
 from identknee.identify.optimum import nuisance_estimates, nuisance_groups
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD = np.array([1.0, 1.0, 2.0, 0.5])
 

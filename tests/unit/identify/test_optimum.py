@@ -15,7 +15,7 @@ from identknee.identify.optimum import (
     with_fits_from,
     with_hops,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 
 LEFT, RIGHT = -2.0, 2.0

@@ -18,7 +18,7 @@ from identknee.calibrate.problem import (
 from identknee.identify.profile.profile import curve_slopes, profile
 from identknee.identify.profile.result import Profile, ProfileVerdict, SideStatus
 from identknee.identify.profile.walk import ProfileContext
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 Z_95 = 1.959963984540054
 # Of a closed end, as a share of the half-width: the tolerance of its root and of its fit.

@@ -22,7 +22,7 @@ from identknee.calibrate.problem import restricted
 from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
 from identknee.model.parameters import Parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import process_pool, threads
 from identknee.runs.store import open_work
 

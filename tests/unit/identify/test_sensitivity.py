@@ -9,7 +9,7 @@ import pytest
 
 from identknee.identify.sensitivity import FAILURE, Box, Sensitivity, box_around, sensitivity
 from identknee.model.parameters import Parameters, ligament_parameters
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.executors import process_pool, threads
 from identknee.runs.store import open_work
 

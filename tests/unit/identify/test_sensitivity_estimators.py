@@ -16,7 +16,7 @@ from identknee.identify.sensitivity_estimators import (
     sample_sizes,
     sobol_indices,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Three reported half-widths are nearly six standard errors.
 HALF_WIDTHS = 3.0

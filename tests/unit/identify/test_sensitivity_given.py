@@ -15,7 +15,7 @@ from identknee.identify.sensitivity_estimators import (
     pawn_index,
     shapley_index,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 HALF_WIDTHS = 3.0
 LEVELS = np.array([400, 800])

@@ -7,7 +7,7 @@ import pytest
 from problems import Cliff, ClosedForm, Linear, plain_parameters, sloppy_springs
 
 from identknee.identify.information import Structure, check_structure
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def _product() -> ClosedForm:

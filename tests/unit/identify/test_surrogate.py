@@ -10,7 +10,7 @@ from scipy.optimize import check_grad
 from identknee.identify.posterior.moves import Surrogate, trained_surrogate
 from identknee.identify.posterior.posterior import LogPosterior, StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N = 5
 GENERATOR = np.random.default_rng(0)

@@ -22,7 +22,7 @@ from identknee.laxity.protocol import (
 )
 from identknee.laxity.table import COORDINATES, Laxity, example_laxity
 from identknee.laxity.trial_words import load_words
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def test_stray_and_constant_loads_do_not_tell_trials_apart() -> None:

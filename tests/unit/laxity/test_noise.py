@@ -5,7 +5,7 @@ import pytest
 
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity, add_noise
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N = 20_000
 # Five standard errors of a mean, a spread or a correlation over N trials; each draw of a heavy tail

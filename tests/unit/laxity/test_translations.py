@@ -17,7 +17,7 @@ from identknee.laxity.translations import (
     to_components,
 )
 from identknee.mechanics.pose import coordinates_from_pose, rotation_matrix
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 
 # Round trips of lengths of 20 mm in double precision.

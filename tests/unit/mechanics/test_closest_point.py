@@ -9,7 +9,7 @@ from tolerances import SAME_POSE
 
 from identknee.mechanics.closest_point import LEAF_SIZE, _build_tree, mesh_distance
 from identknee.mechanics.closest_triangle import disc_distance, write_discs
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.subject.reference import reference_knee
 
 # The way past a rim is the root of a difference: a rounding of 1e-16 becomes 1e-8.

@@ -11,7 +11,7 @@ from identknee.mechanics.contact_points import distance_bending, distances
 from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw
 from identknee.model.contact_loads import CompartmentLoads, compartment_loads
 from identknee.model.laxity_model import ContactGeometry, LaxityModel, contact_geometry
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 LAWS = [ContactLaw(), ContactLaw(modulus=4.0, exponent=1.5, rounding=MOST_ROUNDING)]
 

@@ -6,7 +6,7 @@ from energy_evaluation import NO_LOAD, SCALE, Evaluator, ligaments_of, point_at
 
 from identknee.mechanics.energy import evaluate_near
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # mm; far enough that rounding does not show, near enough that few points begin to touch.
 DISTANCES = np.array([0.016, 0.008, 0.004])

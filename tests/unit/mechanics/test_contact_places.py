@@ -11,7 +11,7 @@ from tolerances import CLOSED_FORM, DIFFERENCE
 from identknee.mechanics.contact_points import contact_places, distances
 from identknee.mechanics.distance_field import MOST_ROUNDING, ContactLaw
 from identknee.model.laxity_model import ContactGeometry, LaxityModel, contact_geometry
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from energy_evaluation import field_values
 from identknee.mechanics.distance_field import MOST_ROUNDING, PADDING, DistanceField, build_field
 from identknee.mechanics.memory import FIRST_ROUNDED
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array, BoolArray, IntArray
+from identknee.runs.declare import Array, BoolArray, IntArray
 
 RADIUS = 10.0
 # A cubic spline through a sphere's distance on a 0.75 mm grid, from 3 mm inside to 1 mm outside.

@@ -16,7 +16,7 @@ from identknee.mechanics.contact_elements import contact_centres, write_contact_
 from identknee.mechanics.distance_field import PRESSURE_MODULUS
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Depths smaller than this are contact or not as rounding has it [mm].
 ROUNDING_MM = 1e-12

@@ -23,7 +23,7 @@ from identknee.mechanics.memory import PLACED, record
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 Case = tuple[float, Array, Array, Any]
 

@@ -17,7 +17,7 @@ from identknee.mechanics.equilibria import (
 )
 from identknee.mechanics.memory import CONVERGED, Equilibria
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 
 def _solve(model: LaxityModel, ligaments: Any) -> Equilibria:

@@ -11,7 +11,7 @@ from identknee.mechanics.pose import (
     pose_from_coordinates,
     rotation_matrix,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Central differences with a step of 1e-6 of functions that are smooth and of size 100.
 DIFFERENCE = 1e-7

@@ -28,7 +28,7 @@ from identknee.mechanics.memory import (
 )
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.prediction import Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The independent minimiser stops at 1e-6 N or at rounding; a margin of 3 N/mm makes that this far.
 INDEPENDENT_MM = 1e-5

@@ -12,7 +12,7 @@ from identknee.mechanics.ligament_tensions import (
     ligament_wrench,
 )
 from identknee.mechanics.pose import place
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 M, N, WITHOUT = 5, 7, 3
 # Central differences of closed forms: rounding over a step of 1e-6, truncation below it.

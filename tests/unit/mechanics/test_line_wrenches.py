@@ -6,7 +6,7 @@ import pytest
 from identknee.mechanics.equilibria import LineLigaments
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_wrenches, twists_by_pose
 from identknee.mechanics.pose import angles_of, place, rotation_matrix
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 GENERATOR = np.random.default_rng(3)
 M = 4

@@ -10,7 +10,7 @@ from identknee.mechanics.distance_field import MOST_ROUNDING
 from identknee.mechanics.elements import line_force, line_shape, tension
 from identknee.mechanics.ligament_tensions import line_tensions
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 TOE = 0.03
 # Below, at and beyond both ends of the toe, and just before its end: 1.9 for 2.0 shows there.

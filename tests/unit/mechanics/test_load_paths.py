@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.mechanics.equilibria import LoadPaths, load_paths
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 DEGREE = np.pi / 180.0
 SLACK = 1.0 + 1e-9  # for the rounding of steps

@@ -14,7 +14,7 @@ from identknee.mechanics.mesh_contact import (
     penetrations,
 )
 from identknee.mechanics.pose import place
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.subject.folder import example
 
 # Closed forms are sums of some hundred terms, each rounded once or twice.

@@ -13,7 +13,7 @@ from identknee.mechanics.mesh_contact import (
     mesh_equilibria,
 )
 from identknee.mechanics.pose import place
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.runs.record import Outcome
 
 FEMORAL = np.array([[3.0, 5.0, 8.0], [-3.0, 5.0, -8.0], [0.0, 12.0, 38.0], [0.0, 12.0, -38.0]])

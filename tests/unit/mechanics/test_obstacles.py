@@ -10,7 +10,7 @@ from identknee.mechanics.ligament_tensions import ligament_tensions, line_wrench
 from identknee.mechanics.obstacles import LENGTH_ERROR, wrapped_shape
 from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 CENTRE = np.array([1.0, -2.0, 0.5])
 AXIS = np.array([0.6, 0.0, 0.8])

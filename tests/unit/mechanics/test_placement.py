@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identknee.mechanics.pose import place
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 FLEXION = 0.6
 POSE = np.array([0.2, -0.35, 1.5, -2.5, 3.5])

@@ -9,7 +9,7 @@ from identknee.mechanics.memory import CONVERGED
 from identknee.mechanics.pose import pose_from_coordinates
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.mechanics_inputs import holding_poses
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 OFF = np.array([2.0, 1.0, -1.5, 3.0, -4.0])  # mm and deg
 

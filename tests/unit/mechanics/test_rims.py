@@ -6,7 +6,7 @@ import trimesh
 
 from identknee.mechanics.contact_points import rim_distance
 from identknee.runs import triangles
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 
 HALF, EDGE = 10.0, 0.5
 

@@ -12,7 +12,7 @@ from identknee.mechanics.energy import (
     substitute,
     trust_region_step,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # A system of condition a few hundred.
 SOLVED = 1e-11

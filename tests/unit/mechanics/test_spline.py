@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates
 from tolerances import DERIVATIVE
 
 from identknee.mechanics.contact_elements import spline_at
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SHAPE = (9, 8, 7)
 

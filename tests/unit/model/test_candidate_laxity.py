@@ -11,7 +11,7 @@ from identknee.laxity.table import Laxity, add_noise
 from identknee.model.candidate_laxity import CandidateLaxity, typical_errors, with_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # The same numbers along two ways of multiplying them.
 ROUNDING = 1e-10

@@ -16,7 +16,7 @@ from identknee.model.force_residuals import ForceResiduals
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.quantities import quantity_named
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 KNEE = ik.reference_knee().with_uncertainty(Uncertainty(insertions_mm=1.0))

@@ -13,7 +13,7 @@ from tolerances import CLOSED_FORM
 from identknee.mechanics.pose import rotation_matrix
 from identknee.model import laxity_model as module
 from identknee.model.laxity_model import contact_geometry, contact_sheets
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.reference import reference_knee
 

@@ -19,7 +19,7 @@ from identknee.model.effects.loads import compression
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import OUTCOMES, Prediction
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
 

@@ -26,7 +26,7 @@ from identknee.model.laxity_model import LaxityModel, meniscus_geometry
 from identknee.model.missing_wrench import unbalanced_load
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 from identknee.subject.menisci import HIGHEST, MENISCI
 

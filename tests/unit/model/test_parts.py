@@ -24,7 +24,7 @@ from identknee.model.line_loads import (
 )
 from identknee.model.prediction import Prediction
 from identknee.model.residuals import LaxityResiduals, largest_loads, shared_errors
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 STATED = Uncertainty(

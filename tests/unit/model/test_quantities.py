@@ -17,7 +17,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_loads, tensions_of
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 # Differences of sixth order over steps of 1e-5 kN or %: rounding of poses over the step.
 HIGH_ORDER = 1e-7

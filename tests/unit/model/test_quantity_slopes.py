@@ -24,7 +24,7 @@ from identknee.model.line_loads import (
 from identknee.model.nuisances import contact_rounding
 from identknee.model.prediction import Prediction
 from identknee.model.quantities import force_names, ligament_forces, quantity_named
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee, Uncertainty
 from identknee.subject.ligament import Ligament
 

@@ -10,7 +10,7 @@ from tolerances import DIFFERENCE
 from identknee.laxity.table import Laxity, add_noise, relative_to_unloaded
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals, Weighting
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SHIFT = np.array([1.0, -2.0, 3.0, 4.0, -5.0])
 

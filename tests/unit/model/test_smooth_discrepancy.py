@@ -11,7 +11,7 @@ from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.discrepancy import SmoothDiscrepancy, smooth_discrepancy
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD, VARUS = 0.3, COORDINATES.index("varus_deg")
 

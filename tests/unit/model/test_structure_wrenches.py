@@ -14,7 +14,7 @@ from identknee.model.effects.library import effect_named
 from identknee.model.force_residuals import StructureWrenches, structure_wrenches
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import structure_values
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 EVERYTHING = Uncertainty(

@@ -22,7 +22,7 @@ from identknee.model.force_residuals import (
 )
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Uncertainty
 
 PROTOCOL = ik.load_protocol("table2").select([2, 3])

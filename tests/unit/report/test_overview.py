@@ -26,7 +26,7 @@ from identknee.report.overview import (
 )
 from identknee.report.page.results import by_subject, found_results
 from identknee.report.presenter import Range, Source
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import untestable
 from identknee.verbs.files import load

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from identknee.report.figures import png
 from identknee.report.scene import PIECES, scene, view_from
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.ligament import Ligament
 from identknee.subject.surface import Surface

@@ -24,7 +24,7 @@ from identknee.model.prediction import Prediction
 from identknee.report.notebook import result_of
 from identknee.report.page.results import Findings
 from identknee.report.page.viewer import KneeScene, model_scene, scene_of, viewer_html
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.verbs.fit import fit
 from identknee.verbs.simulate import simulate

@@ -12,7 +12,7 @@ from browsers import browser_in, prefer, resize
 from identknee.laxity.protocol import load_protocol
 from identknee.model.laxity_model import LaxityModel
 from identknee.report.page.viewer import KneeScene, model_scene, viewer_html
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee
 

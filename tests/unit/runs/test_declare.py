@@ -9,8 +9,7 @@ from enum import Enum
 import numpy as np
 import pytest
 
-from identknee.runs.arrays import Array, IntArray
-from identknee.runs.declare import array, declared, derived, entry
+from identknee.runs.declare import Array, IntArray, array, declared, derived, entry
 from identknee.runs.errors import InputError
 from identknee.runs.files import plain
 from identknee.runs.schema import from_plain, summary_of, to_plain

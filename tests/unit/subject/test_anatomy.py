@@ -9,7 +9,7 @@ import pytest
 from posed_knees import posed_folder, posed_reference
 from scipy.spatial import cKDTree
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.anatomy import Anatomy, anatomy, rim_point
 from identknee.subject.folder import example, read_subject
 from identknee.subject.insertion_sites import structure_sites

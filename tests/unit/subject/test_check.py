@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.model.laxity_model import contact_geometry
-from identknee.runs.arrays import Array, IntArray
+from identknee.runs.declare import Array, IntArray
 from identknee.runs.errors import InputError
 from identknee.runs.findings import Severity
 from identknee.subject import femoral_distance

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.reference import Condyle
 
 SURFACE = 1e-9  # mm; how exact the distance is to be near the surface

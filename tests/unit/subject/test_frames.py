@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame, angle_between, frames_from_landmarks
 
 CLOSED_FORM = 1e-12  # a few roundings

@@ -5,7 +5,7 @@ import pytest
 from posed_knees import posed_reference
 from scipy.spatial import cKDTree
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.folder import example
 from identknee.subject.insertion_sites import InsertionPoints, insertion_surfaces, structure_sites
 from identknee.subject.knee import Knee

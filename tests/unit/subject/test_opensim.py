@@ -7,7 +7,7 @@ from data_files import stored
 from osim_files import LIGAMENT, write_model
 from scipy.spatial import cKDTree
 
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Knee

@@ -8,7 +8,7 @@ from data_files import stored
 from posed_knees import posed_reference
 
 from identknee.mechanics.closest_point import mesh_distance
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.anatomy import anatomy
 from identknee.subject.folder import example
 from identknee.subject.insertion_sites import Site, structure_sites

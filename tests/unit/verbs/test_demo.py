@@ -12,7 +12,7 @@ from identknee.model.residuals import LaxityResiduals
 from identknee.report.answers.demo import least_squares_sentence
 from identknee.report.figures import png
 from identknee.report.sweep_figures import starts_figure
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
 from identknee.verbs.demo import StartFits, start_fits

@@ -15,7 +15,7 @@ from identknee.identify.posterior.posterior import Posterior, SampleOutcome, Sto
 from identknee.identify.posterior.sample import sample
 from identknee.model.parameters import Parameters
 from identknee.report.printer import terminal_lines
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.runs.findings import Finding, finding
 from identknee.runs.schema import summary_of, to_plain
 from identknee.verbs.files import groups_of, load

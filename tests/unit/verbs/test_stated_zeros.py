@@ -11,7 +11,7 @@ from identknee.laxity.experiment_tables import joined
 from identknee.laxity.experiments import Experiment
 from identknee.laxity.table import Laxity, add_noise
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 SD, ZERO = 0.1, 0.5
 STATED = f"zero={ZERO}mm,zero={ZERO}deg"

@@ -15,7 +15,7 @@ from identknee.model import laxity_model as joint
 from identknee.model.effects.facts import FACTS, NOT_OFFERED
 from identknee.model.effects.library import effect_named, library
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 
 HISTORY = {"hysteresis", "creep", "drift"}

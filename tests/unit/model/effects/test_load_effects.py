@@ -9,7 +9,7 @@ from tolerances import SAME_POSE
 from identknee.laxity.protocol import LOADS, load_protocol
 from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 
 # Trials of both axes, spread over the protocol.

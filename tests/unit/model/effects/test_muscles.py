@@ -9,7 +9,7 @@ from identknee.laxity.protocol import load_protocol
 from identknee.model.effects.library import effect_named
 from identknee.model.effects.loads import LATERAL, MUSCLES
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.anatomy import anatomy
 from identknee.subject.knee import Knee
 

@@ -18,7 +18,7 @@ from identknee.model.effects.readings import (
     rig_compliance,
     tibia_frame,
 )
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 
 N = 5
 LOADS = np.array(

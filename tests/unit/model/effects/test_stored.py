@@ -20,7 +20,7 @@ from identknee.model.effects.structures import (
     structure,
 )
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import EffectChoice, Knee, Side
 

@@ -9,7 +9,7 @@ from identknee.model.effects.library import effect_named
 from identknee.model.effects.structures import PosteriorCapsule, lines_of, structure
 from identknee.model.effects.tissues import Meniscus
 from identknee.model.laxity_model import LaxityModel
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 
 INTERNAL, EXTERNAL, VALGUS, VARUS = (5.0, 0.0), (-5.0, 0.0), (0.0, -8.0), (0.0, 8.0)

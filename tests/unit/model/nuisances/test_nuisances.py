@@ -14,7 +14,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.mechanics_inputs import frames_at
 from identknee.model.nuisances import contact_rounding, insertions, nuisances_of
-from identknee.runs.arrays import Array
+from identknee.runs.declare import Array
 from identknee.subject.knee import Frame, Knee, Uncertainty
 
 EVERYTHING = Uncertainty(
