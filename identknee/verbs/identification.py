@@ -52,10 +52,9 @@ from identknee.identify.optimum import (
 from identknee.identify.optimum import best_fits as find_best_fits
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.model.discrepancy import SmoothDiscrepancy, smooth_discrepancy
-from identknee.model.force_residuals import weighed
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import FreeParameters
-from identknee.model.residuals import LaxityResiduals, has_shared_errors, shared_errors, with_shared
+from identknee.model.residuals import LaxityResiduals, has_shared_errors, with_shared
 from identknee.runs.declare import Array, declared, entry
 from identknee.runs.errors import NotComputable
 from identknee.runs.executors import Executor
@@ -276,11 +275,8 @@ def identification(
             raise NotComputable(
                 prediction_finding(residuals.model, residuals.laxity, theta).sentence
             )
-        laxity = weighed(laxity, residuals.model, first.theta)
-        shared = None
-        if has_shared_errors(knee.uncertainty):
-            shared = shared_errors(residuals.model, first.theta)
-        residuals = replace(residuals, laxity=laxity, shared=shared)
+        linear = replace(trials, laxity=laxity).linear_at(first.theta)
+        laxity, residuals = linear.laxity, linear.residuals(linear.laxity)
     wrong: SmoothDiscrepancy | None = None
     if scales is not None:
         wrong = _discrepancy(residuals, theta, fixed or (), scales)
@@ -290,7 +286,8 @@ def identification(
     problem = everywhere = with_its_priors(part)
     if begins_at_poses := model.poses is not None or model.fallback_poses is not None:
         searched = with_bounds(defined_everywhere(residuals), limits)
-        everywhere = with_its_priors(restricted(searched, fixed or (), theta))
+        anywhere = restricted(searched, fixed or (), theta)
+        everywhere = with_its_priors(anywhere)
     degrees: int | None = None
     sizes: Sizes = (None, None)
     asked = int(part.parameters.is_of_interest.sum())
@@ -306,10 +303,9 @@ def identification(
         degrees = estimate.degrees_of_freedom
         everywhere = problem
         if begins_at_poses:
-            inner = restricted(searched, fixed or (), theta)
             sds = np.array(sizes, float)[residuals.units]
             sds = np.r_[sds, np.full(laxity.n, sds.min())]
-            everywhere = with_its_priors(WhitenedResiduals(problem=inner, sd=sds))
+            everywhere = with_its_priors(WhitenedResiduals(problem=anywhere, sd=sds))
         shown = ", ".join(
             f"{sd:.3g} {unit}"
             for sd, unit in zip(sizes, ("mm", "deg"), strict=True)

@@ -55,6 +55,8 @@ from identknee.verbs.isolability import Isolability
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from identknee.report.laxity_figures import LaxityCurves
+
 MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
 
@@ -135,11 +137,6 @@ class IsolabilityPresenter(Presenter[Isolability]):
                 causes = listed(map(cause_label, group.effects), "from")
                 yield f"{trials}. This would tell {causes}."
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from identknee.report.laxity_figures import LaxityCurves
 
 Value = TypeVar("Value")
 HYPOTHESIS = "On a real knee this name is a hypothesis that has yet to be tested."
