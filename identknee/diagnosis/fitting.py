@@ -23,9 +23,14 @@ from identknee.calibrate.problem import (
     evidence_terms,
     with_all_priors,
 )
-from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.data_noise import DataNoise, noise_of
-from identknee.checks.fit_checks import BEYOND_PRIOR, ligament_loads, nuisance_findings
+from identknee.checks.fit_checks import (
+    BEYOND_PRIOR,
+    ComparedForces,
+    compared_forces,
+    ligament_loads,
+    nuisance_findings,
+)
 from identknee.checks.usable_trials import defined_everywhere, force_terms
 from identknee.diagnosis.force_rows import ForceRows
 from identknee.diagnosis.misfit import (

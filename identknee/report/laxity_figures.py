@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from identknee.checks.compared_forces import ComparedForces
 from identknee.checks.data_noise import Curve, load_curves
+from identknee.checks.fit_checks import ComparedForces
 from identknee.checks.limit_price import PlausibilityPrice
 from identknee.laxity.protocol import LOADS, Protocol, as_shown
 from identknee.laxity.table import COORDINATES

@@ -8,9 +8,8 @@ import numpy as np
 from typing_extensions import override
 
 from identknee.checks.broken_convention import convention_findings
-from identknee.checks.compared_forces import ComparedForces
 from identknee.checks.data_noise import NoiseSource, noise_of
-from identknee.checks.fit_checks import implausible_findings
+from identknee.checks.fit_checks import ComparedForces, implausible_findings
 from identknee.checks.subject_checks import rim_findings
 from identknee.checks.table_checks import (
     SuspiciousRow,

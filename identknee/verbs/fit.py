@@ -29,15 +29,16 @@ from identknee.calibrate.problem import (
     with_all_priors,
 )
 from identknee.checks.ambiguous_translations import refitted_translations_findings
-from identknee.checks.compared_forces import ComparedForces, compared_forces
 from identknee.checks.fit_checks import (
     APART,
     AS_GOOD,
+    ComparedForces,
     Fitted,
     agreement_findings,
     bound_findings,
     check_fit,
     check_unfitted,
+    compared_forces,
     conditional_findings,
     idle_parameters,
     misfit_findings,

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
-from identknee.checks.compared_forces import ComparedForces
-from identknee.checks.fit_checks import AT_END
+from identknee.checks.fit_checks import AT_END, ComparedForces
 from identknee.checks.limit_price import PlausibilityPrice
 from identknee.laxity.protocol import Protocol, from_zero
 from identknee.report.answers.simulate import simulated_curves

@@ -4,7 +4,7 @@ import numpy as np
 from figure_checks import clipped, drawn, overlapping
 from matplotlib.container import ErrorbarContainer
 
-from identknee.checks.compared_forces import ComparedForces
+from identknee.checks.fit_checks import ComparedForces
 from identknee.report.laxity_figures import MOST_PANELS, MOST_TRIALS, compared_forces_figure
 
 
