@@ -284,10 +284,6 @@ class Scores:
         """Probability of a maximum as high under no effect."""
         return self.candidates[0].p_value
 
-    def named(self, name: str) -> CandidateScore:
-        """The score of the effect `name`."""
-        return next(x for x in self.candidates if x.name == name)
-
 
 @declared
 class ScoreTest:

@@ -67,8 +67,6 @@ class Compartment:
         "Where the tibial surface reaches furthest forward", "axis", unit="mm"
     )
     posterior_margin: Array = array("Where it reaches furthest back", "axis", unit="mm")
-    outer_margin: Array = array("Where it reaches furthest out", "axis", unit="mm")
-    inner_margin: Array = array("Where it reaches furthest in", "axis", unit="mm")
     tibia: Surface = entry("The tibial surface itself")
 
 
@@ -172,8 +170,6 @@ def anatomy(knee: Knee) -> Anatomy:
             tibia=sheet,
             anterior_margin=_furthest(sheet, anterior),
             posterior_margin=_furthest(sheet, -anterior),
-            outer_margin=_furthest(sheet, sign * across),
-            inner_margin=_furthest(sheet, -sign * across),
         )
         for side, sign, centre, radius, epicondyle, own, sheet in zip(
             sides, (-1.0, 1.0), centres, radii, epicondyles, collaterals, knee.tibia, strict=True
