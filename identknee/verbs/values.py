@@ -164,13 +164,8 @@ def named_values(texts: Sequence[str], option: str) -> dict[str, float]:
     >>> named_values(["ACL.stiffness_kN=9.5"], "--set")
     {'ACL.stiffness_kN': 9.5}
     """
-    values: dict[str, float] = {}
-    for text in texts:
-        name, value = _split(text, option, "ACL.stiffness_kN=9.5")
-        if name in values:
-            raise ValueError(f"{option} gives {name} twice; give it once.")
-        values[name] = _number(value, f"{option} {text}")
-    return values
+    stated = _by_name(texts, option, "ACL.stiffness_kN=9.5")
+    return {name: _number(value, f"{option} {text}") for name, (value, text) in stated.items()}
 
 
 def named_bounds(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
@@ -187,28 +182,31 @@ def named_bounds(texts: Sequence[str], option: str) -> dict[str, tuple[float, fl
     {'ACL.stiffness_kN': (5.0, 15.0)}
     """
     bounds: dict[str, tuple[float, float]] = {}
-    for text in texts:
-        name, value = _split(text, option, "ACL.stiffness_kN=5:15")
+    for name, (value, text) in _by_name(texts, option, "ACL.stiffness_kN=5:15").items():
         low, colon, high = value.partition(":")
         if not colon:
             raise ValueError(
                 f"{option} {text}: there is no upper bound. "
                 f"Write LOWER:UPPER, for example {option} {name}=5:15"
             )
-        if name in bounds:
-            raise ValueError(f"{option} gives {name} twice; give it once.")
         where = f"{option} {text}"
         bounds[name] = (_number(low, where), _number(high, where))
     return bounds
 
 
-def _split(text: str, option: str, example: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals or not name.strip():
-        raise ValueError(
-            f"{option} {text}: this is not NAME=VALUE. Write for example {option} {example}"
-        )
-    return name.strip(), value.strip()
+def _by_name(texts: Sequence[str], option: str, example: str) -> dict[str, tuple[str, str]]:
+    """What each text ``NAME=VALUE`` states, by its name, and the text itself."""
+    found: dict[str, tuple[str, str]] = {}
+    for text in texts:
+        name, equals, value = (x.strip() for x in text.partition("="))
+        if not equals or not name:
+            raise ValueError(
+                f"{option} {text}: this is not NAME=VALUE. Write for example {option} {example}"
+            )
+        if name in found:
+            raise ValueError(f"{option} gives {name} twice; give it once.")
+        found[name] = value, text
+    return found
 
 
 def _number(text: str, where: str) -> float:
