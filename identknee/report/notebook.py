@@ -21,7 +21,7 @@ from identknee.report.figures import (
     resize,
     show_figures,
 )
-from identknee.report.overview import opening_of
+from identknee.report.opening import opening_of
 from identknee.report.page.load_figures import ALL_FORCES, KNEE_LOADS, OF_VERBS, load_drawings
 from identknee.report.page.markup import document, parts
 from identknee.report.page.results import Findings, Result, knee_of, laxity_drawings

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from identknee.report.overview import MOST_FINDINGS, brief_line, opening_of
+from identknee.report.opening import MOST_FINDINGS, brief_line, opening_of
 from identknee.report.presenter import (
     Question,
     Statement,

@@ -14,14 +14,12 @@ from markupsafe import Markup
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.fit import nuisance_tables, parameters_at_bounds
 from identknee.report.comparison import Comparison, comparison
+from identknee.report.opening import MOST_FINDINGS, brief_line, command_on_data
 from identknee.report.overview import (
     KNOWN,
-    MOST_FINDINGS,
     Overview,
     Row,
     Tone,
-    brief_line,
-    command_on_data,
     fits_by_start,
     has_better_fit,
     overview,

@@ -8,7 +8,7 @@ import pytest
 from bs4 import BeautifulSoup
 from cli_runs import run, short_protocol
 
-from identknee.report.overview import MOST_FINDINGS
+from identknee.report.opening import MOST_FINDINGS
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.report.presenter import presenter_of

@@ -9,7 +9,8 @@ from bs4 import BeautifulSoup
 
 from identknee.diagnosis.verdict import Verdict
 from identknee.report.answers.profile import profile_range
-from identknee.report.overview import Tone, opening_of, overview, ranges_of
+from identknee.report.opening import opening_of
+from identknee.report.overview import Tone, overview, ranges_of
 from identknee.report.page.page import report_html
 from identknee.report.page.results import found_results
 from identknee.report.presenter import Source
