@@ -415,9 +415,15 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
         fitted = min(fitted, torn, key=lambda x: x.evaluation.deviance)
     if not fitted.evaluation.is_finite:
         return BaseFit(fitted=fitted, noise=stated)
-    noise = noise_of(laxity, fitted.compared.differences(fitted.theta))
-    if noise is None:  # pragma: no cover - it was found before
-        return None
+    return _with_its_noise(fitted, stated)
+
+
+def _with_its_noise(fitted: FittedModel, known: DataNoise) -> "BaseFit":
+    """A fit repeated with the noise that its own residuals show; `known` if they show none.
+
+    The residuals of a worse fit are rough where trials jump, which would count as noise.
+    """
+    noise = noise_of(fitted.laxity, fitted.compared.differences(fitted.theta)) or known
     return BaseFit(fitted=fitted_with_nuisances(fitted, noise.sd, noise.correlation), noise=noise)
 
 
@@ -554,7 +560,7 @@ def _without_priors(base: BaseFit, idle: Sequence[str]) -> BaseFit:
         if found.outcome is not Outcome.VALLEY:
             break
         found = best_fit_from(measured, fitted.laxity, fitted.noise, [found.theta])
-    return BaseFit(fitted=found, noise=base.noise) if found.evaluation.is_finite else base
+    return _with_its_noise(found, base.noise) if found.evaluation.is_finite else base
 
 
 def past_lost_trials(base: BaseFit, seed: int) -> BaseFit:
@@ -599,7 +605,7 @@ def _polished(base: BaseFit, ends: Sequence[Fit]) -> BaseFit:
     """The lowest of the first ends, without lost trials, where it is lower than the fit."""
     fitted, starts = base.fitted, [x.theta for x in ends[:N_POLISHED]]
     found = best_fit_from(fitted.model, fitted.laxity, fitted.noise, starts)
-    return BaseFit(fitted=found, noise=base.noise) if found.deviance < fitted.deviance else base
+    return _with_its_noise(found, base.noise) if found.deviance < fitted.deviance else base
 
 
 def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:

@@ -47,8 +47,12 @@ def test_a_search_through_lost_trials_finds_the_lower_fit(reference: Knee) -> No
     beside = lowest.theta + np.where(np.arange(lowest.theta.size) % 2, 0.5, 0.0)
     stuck = best_fit_from(lowest.model, laxity, lowest.noise, [beside], most_steps=1)
     assert stuck.deviance > lowest.deviance + LOWER
-    found = past_lost_trials(replace(base, fitted=stuck), 0).fitted
-    assert found.deviance == pytest.approx(lowest.deviance, abs=0.1)
+    # Residuals of a worse fit had made the noise look twice as large.
+    louder = replace(base.noise, sd=2.0 * base.noise.sd)
+    found = past_lost_trials(replace(base, fitted=stuck, noise=louder), 0)
+    assert found.fitted.deviance == pytest.approx(lowest.deviance, abs=0.1)
+    np.testing.assert_allclose(found.noise.sd, base.noise.sd, rtol=0.01)
+    np.testing.assert_allclose(found.fitted.noise.sd, lowest.noise.sd, rtol=0.01)
 
 
 def test_where_noise_explains_what_is_left_one_search_is_enough(
