@@ -694,7 +694,9 @@ class _Search:
             if len(models) > 1:
                 step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
-        if self._curvature is not None and self._curvature.is_known:
+        # Only a step that may be the last is compared with the linear model's.
+        is_last = abs(reduction) <= self._negligible(point)
+        if is_last and self._curvature is not None and self._curvature.is_known:
             matrix, data = _linear_model(at, scales)
             by_it = bounded_step(matrix, data, box, constraint)
             linear_reduction = _predicted_reduction(matrix, data, by_it)
@@ -713,9 +715,12 @@ class _Search:
             is_boxed=length >= self._radius,
         )
 
+    def _negligible(self, point: _Point) -> float:
+        """The largest predicted reduction of the deviance that is none."""
+        return max(self._tolerance, ROUNDING * point.evaluation.deviance)
+
     def _is_converged_step(self, plan: _PlannedStep, point: _Point) -> bool:
-        tolerance = max(self._tolerance, ROUNDING * point.evaluation.deviance)
-        if max(abs(plan.reduction), abs(plan.linear_reduction)) > tolerance:
+        if max(abs(plan.reduction), abs(plan.linear_reduction)) > self._negligible(point):
             return False
         if point.gradient is None or plan.gap <= self._tolerance:
             return True

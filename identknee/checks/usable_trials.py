@@ -119,7 +119,9 @@ class TrialSearch:
 
     @property
     def without_limits(self) -> "TrialSearch":
-        """The same search without limits of plausibility."""
+        """The same search without limits of plausibility; itself if there are none."""
+        if not self.model.knee.plausibility:
+            return self
         knee = self.model.knee.with_plausibility("none")
         return replace(self, model=replace(self.model, knee=knee))
 

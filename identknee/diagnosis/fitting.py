@@ -1,9 +1,9 @@
 """Fits of a laxity model to data, without and with causes, as diagnosis compares them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.special import chdtrc
@@ -67,7 +67,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import wrench_response
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
-from identknee.runs.declare import Array, BoolArray, declared, entry
+from identknee.runs.declare import Array, BoolArray, declared, entry, short_repr
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, StatedPrior
@@ -636,25 +636,37 @@ NEAR_EVIDENCE, FAR_EVIDENCE = 6.0, 10.0
 CHANCE, LEAST_SHARE = 0.05, 0.5
 
 
-@declared
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Refit:
-    """The model extended by causes, fitted again."""
+    """The model extended by causes, fitted again.
 
-    causes: tuple[Effect, ...] = entry(
-        "Effects beyond the base model, in the order in which they joined"
-    )
-    fitted: FittedModel = entry("The fit")
-    smooth: Array = entry("Whitened patterns of smooth misfit, shape ``(m, k)``")
-    noise_degrees: float = entry("Degrees of freedom of the noise")
-    log_evidence: float = field(init=False)
-    """Logarithm of the evidence up to a constant of the data; -inf without a prediction."""
+    Attributes
+    ----------
+    causes
+        Effects beyond the base model, in the order in which they joined.
+    fitted
+        The fit.
+    smooth
+        Whitened patterns of smooth misfit, shape ``(m, k)``.
+    noise_degrees
+        Degrees of freedom of the noise.
+    """
 
-    def __post_init__(self) -> None:
-        found, evaluation = self.fitted.constrained, self.fitted.evaluation
-        value = -np.inf
-        if evaluation.is_finite:
-            value = log_evidence(evaluation, self.fitted.model.parameters, found.is_held)
-        object.__setattr__(self, "log_evidence", value)
+    causes: tuple[Effect, ...]
+    fitted: FittedModel
+    smooth: Array
+    noise_degrees: float
+
+    __repr__ = short_repr
+
+    # Computed when it is first asked for: of the refits tried few are compared by it.
+    @cached_property
+    def log_evidence(self) -> float:
+        """Logarithm of the evidence up to a constant of the data; -inf without a prediction."""
+        found = self.fitted
+        if not found.evaluation.is_finite:
+            return -np.inf
+        return log_evidence(found.evaluation, found.model.parameters, found.constrained.is_held)
 
     @property
     def names(self) -> tuple[str, ...]:

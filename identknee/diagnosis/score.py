@@ -342,14 +342,14 @@ class ScoreTest:
         counted = _in_units(residuals[None], self.projector, self.scale)
         z_scores = _z_scores(counted, self.signatures)
         scores = _corrected(_by_name(z_scores, self.signatures), self.trials_factors)[0]
-        found = []
+        found, names = [], self.names
         for i in np.argsort(-scores, kind="stable"):
-            own = [k for k, x in enumerate(self.signatures) if x.signature.name == self.names[i]]
+            own = [k for k, x in enumerate(self.signatures) if x.signature.name == names[i]]
             best = self.signatures[max(own, key=lambda k: z_scores[0, k])]
             correlations = self.projector.project(residuals)[None] @ best.projected
             found.append(
                 CandidateScore(
-                    name=self.names[i],
+                    name=names[i],
                     variant=best.signature.variant,
                     score=float(scores[i]),
                     p_value=self.p_value(float(scores[i])),

@@ -101,14 +101,42 @@ class BoxMarginals:
         return low, high, from_low, to_high
 
 
-def log_interval_mass(low: Array, high: Array) -> Array:
-    """Log probability that a standard normal variable lies between `low` and `high`."""
-    # Mirrored to the lower tail, where small probabilities keep their digits.
-    mirrored = low > -high
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Truncated:
+    """Standard normal variables between two ends each, in their lower tails.
+
+    There small probabilities keep their digits: those in upper tails are mirrored.
+    """
+
+    is_mirrored: BoolArray
+    log_top: Array  # log probability below the upper end
+    share_cut: Array  # share of that below the lower end
+
+    @property
+    def log_mass(self) -> Array:
+        """Log probability between the ends."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.log_top + np.log1p(-self.share_cut))
+
+    def quantile(self, share: Array) -> Array:
+        """Quantile `share` of the variable truncated between the ends."""
+        share = np.where(self.is_mirrored, 1.0 - share, share)
+        found = ndtri_exp(self.log_top + np.log(share + (1.0 - share) * self.share_cut))
+        return np.asarray(np.where(self.is_mirrored, -found, found))
+
+
+def _truncated(low: Array, high: Array) -> _Truncated:
+    """Standard normal variables between `low` and `high`."""
+    mirrored = np.asarray(low > -high)
     low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
     top = log_ndtr(high)
-    with np.errstate(divide="ignore"):
-        return np.asarray(top + np.log1p(-np.exp(log_ndtr(low) - top)))
+    cut = np.exp(log_ndtr(low) - top)
+    return _Truncated(is_mirrored=mirrored, log_top=top, share_cut=cut)
+
+
+def log_interval_mass(low: Array, high: Array) -> Array:
+    """Log probability that a standard normal variable lies between `low` and `high`."""
+    return _truncated(low, high).log_mass
 
 
 def _cut(
@@ -131,8 +159,9 @@ def _draws(mean: Array, covariance: Array, lower: Array, upper: Array, cut: IntA
     for i in range(cut.size):
         known = mean[cut[i]] + drawn[:, :i] @ factor[i, :i]
         low, high = ((x[cut[i]] - known) / factor[i, i] for x in (lower, upper))
-        weights += log_interval_mass(low, high)
-        drawn[:, i] = _within(low, high, points[:, i])
+        between = _truncated(low, high)
+        weights += between.log_mass
+        drawn[:, i] = between.quantile(points[:, i])
     return _Draws(components=cut, factor=factor, points=drawn, log_weights=weights)
 
 
@@ -151,7 +180,7 @@ def _quantile(
     used = whole > whole.max() - NEGLIGIBLE
     offset, log_weights = whole.max(), log_weights[used]
     middles, low, high = middles[used], low[used], high[used]
-    ends = middles + sd * _within(low, high, np.full(low.size, share))
+    ends = middles + sd * _truncated(low, high).quantile(np.full(low.size, share))
     left, right = float(ends.min()), float(ends.max())
     wanted = share * float(np.exp(whole[used] - offset).sum())
     is_free = bool(np.all(low < FAR) and np.all(high > 0.5 * FAR))
@@ -166,16 +195,6 @@ def _quantile(
             below = float(np.exp(log_weights + mass - offset).sum())
         left, right = (middle, right) if below < wanted else (left, middle)
     return 0.5 * (left + right)
-
-
-def _within(low: Array, high: Array, share: Array) -> Array:
-    """Quantile `share` of a standard normal variable truncated between two ends."""
-    mirrored = low > -high
-    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
-    share = np.where(mirrored, 1.0 - share, share)
-    top = log_ndtr(high)
-    found = ndtri_exp(top + np.log(share + (1.0 - share) * np.exp(log_ndtr(low) - top)))
-    return np.asarray(np.where(mirrored, -found, found))
 
 
 # Share of the rise of the deviance: an interval of which priors make more is made by priors.

@@ -459,7 +459,7 @@ class LaxityModel:
         if protocol is self.protocol:
             return self
         made = self.protocol
-        if not protocol.experiments:
+        if made.experiments and not protocol.experiments:
             # A protocol without experiments belongs to the first experiment of the model.
             protocol = replace(protocol, experiments=made.experiments)
         return replace(

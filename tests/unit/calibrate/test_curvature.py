@@ -1,12 +1,19 @@
 """Second derivatives learned between points: the secant equation, and valleys that need them."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from problems import ClosedForm, plain_parameters
 
-from identknee.calibrate.bounded_least_squares import minimise, solve_constrained
+from identknee.calibrate import bounded_least_squares
+from identknee.calibrate.bounded_least_squares import (
+    BoundedStep,
+    bounded_step,
+    minimise,
+    solve_constrained,
+)
 from identknee.calibrate.problem import LARGE, Curvature, Evaluator, ParameterQuantity, evaluate
 from identknee.model.parameters import Parameters
 from identknee.runs.declare import Array
@@ -105,6 +112,23 @@ def test_large_residuals_end_where_gauss_and_newton_alone_do_not() -> None:
     exact = brown_and_dennis(has_nuisances=False)
     alone = minimise(Evaluator(exact), exact.start, most_steps=500)
     assert alone.outcome is Outcome.VALLEY
+
+
+def test_only_a_step_that_may_be_the_last_is_compared_with_the_linear_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps: list[BoundedStep] = []
+
+    def counted(*how: Any) -> BoundedStep:
+        steps.append(bounded_step(*how))
+        return steps[-1]
+
+    monkeypatch.setattr(bounded_least_squares, "bounded_step", counted)
+    problem = brown_and_dennis(has_nuisances=True)
+    found = minimise(Evaluator(problem), problem.start)
+    assert found.outcome is Outcome.MINIMUM
+    # One step follows each simulation; the linear model's is one more where the search may end.
+    assert found.n_simulations < len(steps) <= found.n_simulations + 2
 
 
 def test_the_tangent_of_a_curved_path_is_its_slope() -> None:

@@ -12,6 +12,7 @@ from elsewhere import Elsewhere
 from scipy.stats import multivariate_normal
 
 from identknee.calibrate.problem import Evaluation
+from identknee.diagnosis import fitting
 from identknee.diagnosis import verdict as module
 from identknee.diagnosis.fitting import (
     Refit,
@@ -412,6 +413,28 @@ def test_refits_of_another_process_are_the_same(one: Attribution) -> None:
         assert x.names == y.names
         np.testing.assert_array_equal(x.fitted.theta, y.fitted.theta)
         assert x.log_evidence == y.log_evidence
+
+
+def test_evidence_is_computed_where_it_is_asked_for_and_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Evaluation] = []
+
+    def counted(evaluation: Evaluation, *_: Any) -> float:
+        asked.append(evaluation)
+        return -3.0
+
+    monkeypatch.setattr(fitting, "log_evidence", counted)
+    evaluation: Any = SimpleNamespace(is_finite=True)
+    fitted: Any = SimpleNamespace(
+        evaluation=evaluation,
+        model=SimpleNamespace(parameters=None),
+        constrained=SimpleNamespace(is_held=None),
+    )
+    tried = Refit(causes=(), fitted=fitted, smooth=np.zeros((0, 0)), noise_degrees=1e9)
+    assert not asked
+    assert (tried.log_evidence, tried.log_evidence) == (-3.0, -3.0)
+    assert asked == [evaluation]
 
 
 def evidence_of(columns: Array, data: Array, *, lower: float) -> float:

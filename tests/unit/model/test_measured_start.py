@@ -48,6 +48,13 @@ def test_from_the_measured_pose_the_same_equilibria_are_found() -> None:
     np.testing.assert_allclose(found.jacobian, expected.jacobian, rtol=1e-6, atol=1e-8)
 
 
+def test_residuals_made_of_residuals_share_a_model_and_so_its_predictions() -> None:
+    laxity = replace(as_measured(off=1.0), protocol=as_read())
+    model = begun(as_measured()).with_tests(laxity)
+    assert model.protocol is laxity.protocol
+    assert model.with_tests(laxity) is model
+
+
 def test_an_equilibrium_far_from_the_measured_pose_does_not_count() -> None:
     laxity = as_measured()
     coordinates = np.array(laxity.coordinates)
