@@ -66,6 +66,10 @@ def parts(options: argparse.Namespace) -> Iterator[Row]:
         yield _row(KEPT.known(), len(tasks))
 
 
+def _is_only_name(outcome: dict[str, Any]) -> bool:
+    return bool(outcome["group"] == outcome["effects"])
+
+
 def _row(known: dict[str, dict[str, Any]], n: int) -> Row:
     found = [
         {**x, "knee": key.split()[0], "is_isolable": x["distance"] >= LEAST_DISTANCE}
@@ -85,6 +89,14 @@ def _row(known: dict[str, dict[str, Any]], n: int) -> Row:
         measures.insert(
             3, share_of("right name of the isolable", isolable, is_right, bar=0.8, at_least=True)
         )
+        measures.insert(
+            4,
+            share_of("the only name of the isolable, also with a doubt", isolable, _is_only_name),
+        )
+    apart = [x for x in found if (x["nearest"] or 0.0) >= LEAST_DISTANCE]
+    if apart:
+        what = "right name where every other cause, refitted in full, lies 5 units or more away"
+        measures.insert(5, share_of(what, apart, is_right))
     for subject, effect in product(KNEES, HIDDEN):
         own = [x for x in found if x["knee"] == subject and x["effects"] == [effect]]
         if own:
