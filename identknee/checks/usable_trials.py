@@ -237,15 +237,16 @@ class TrialSearch:
 def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
     """Starts of further searches, shape ``(n, p)``: around the start, and by stretch.
 
-    They are half of each kind if the model begins at measured poses, else all around the start.
+    They are of both kinds in turn if the model begins at measured poses, else all around the start.
     """
-    m = n if model.poses is None else n - n // 2
-    around = sobol_around(model.parameters, start, m, reach=REACH, seed=seed)
-    if m == n:
-        return around
+    if model.poses is None:
+        return sobol_around(model.parameters, start, n, reach=REACH, seed=seed)
+    around = sobol_around(model.parameters, start, n - n // 2, reach=REACH, seed=seed)
     nuisances = ~model.parameters.is_of_interest
     middle = np.where(nuisances, model.parameters.start, start)
-    return np.vstack([around, starts_by_stretch(model, middle, n - m, seed=seed)])
+    points = np.empty((n, model.parameters.n))
+    points[::2], points[1::2] = around, starts_by_stretch(model, middle, n // 2, seed=seed)
+    return points
 
 
 def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:

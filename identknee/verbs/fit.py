@@ -62,6 +62,7 @@ from identknee.checks.usable_trials import (
     with_other_terms,
 )
 from identknee.identify.optimum import (
+    MOST_STARTS,
     N_STARTS,
     nuisance_estimates,
     with_fits_from,
@@ -492,11 +493,12 @@ def fit(
     more_starts: Annotated[
         int,
         option(
-            "Further searches by least squares from points around the start; the lowest end is the "
-            "fit. 0 for the search from the start alone.",
+            "At most so many further searches by least squares, from points around the start; the "
+            "lowest end is the fit. They begin in groups of 16 until three have ended there. 0 for "
+            "the search from the start alone.",
             least=0,
         ),
-    ] = N_STARTS,
+    ] = MOST_STARTS,
     continuation: Annotated[Continuation, options.LOAD_STEPS] = "continuation",
     seed: options.Seed = 0,
     **_: Unpack[options.FitOptions],
@@ -640,7 +642,7 @@ def _fits_from(
         # The price is relative to the best fit without limits; one more search begins there.
         plain = trials.without_limits.problem_everywhere(used.laxity)
         without = further(plain, search_from(plain, used.start, fixed=trials.fixed), points)
-        points = np.vstack([points, without[0].theta])
+        points = np.vstack([without[0].theta, points[:N_STARTS]])
     everywhere = trials.problem_everywhere(used.laxity)
     return further(everywhere, replace(found, start=used.start), points), without
 

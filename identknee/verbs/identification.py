@@ -43,10 +43,12 @@ from identknee.checks.usable_trials import (
     with_other_terms,
 )
 from identknee.identify.optimum import (
-    N_STARTS,
+    MOST_STARTS,
+    REACH,
     EstimatedNoise,
     check_within_bounds,
     nuisance_estimates,
+    sobol_around,
     with_estimated_noise,
 )
 from identknee.identify.optimum import best_fits as find_best_fits
@@ -386,10 +388,13 @@ def best_fits(setup: Identification, *, seed: int, executor: Executor) -> tuple[
     """
     check_within_bounds(setup.start, setup.problem.parameters)
     budget = BRIEF if setup.problem.parameters.nuisance_names else None
-    points = None
-    if setup.model.poses is not None:
+    if setup.model.poses is None:
+        points = sobol_around(
+            setup.problem.parameters, setup.start, MOST_STARTS, reach=REACH, seed=seed
+        )
+    else:
         start = setup.free.expand(setup.start)
-        points = setup.free.restrict(starts_elsewhere(setup.model, start, N_STARTS, seed=seed))
+        points = setup.free.restrict(starts_elsewhere(setup.model, start, MOST_STARTS, seed=seed))
     try:
         fits = find_best_fits(
             setup.everywhere,

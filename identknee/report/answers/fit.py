@@ -274,7 +274,7 @@ class CalibrationPresenter(Presenter[Calibration]):
         search, settings = answer.search, settings_of(answer)
         words = search.method.replace("-", " ")
         more = settings.get("more_starts")
-        beside = f" and {more} further starts" if more else ""
+        beside = f" and up to {more} further starts" if more else ""
         yield (
             f"Parameters were fitted by {words} from {answer.start}{beside}, "
             f"in {search.n_simulations} simulations."

@@ -9,6 +9,7 @@ from problems import ClosedForm, plain_parameters, sloppy_springs
 from identknee.calibrate.fit import fit
 from identknee.identify.optimum import (
     N_FINISHED,
+    N_STARTS,
     best_fit,
     best_fits,
     sobol_around,
@@ -84,6 +85,27 @@ def test_hops_reach_a_lower_valley_beside_the_lowest_end() -> None:
     assert alone is first
     lowest = with_fits_from(problem, first, np.zeros((0, 1)), budget=50)[0]
     assert lowest.theta == pytest.approx([0.4], abs=1e-6)
+
+
+def test_further_groups_begin_until_three_searches_have_ended_lowest() -> None:
+    """A minimum near every whole number, the lowest near 10: each search ends where it began."""
+    problem = ClosedForm(
+        name="many valleys",
+        parameters=plain_parameters(1),
+        start=np.array([-10.0]),
+        minimum=np.array([10.0]),
+        lowest=0.01,
+        residuals_at=lambda x: np.array([3.0 * np.sin(np.pi * x[0]), 0.05 * (x[0] - 12.0)]),
+        jacobian_at=lambda x: np.array([[3.0 * np.pi * np.cos(np.pi * x[0])], [0.05]]),
+    )
+    first, points = fit(problem, problem.start), np.arange(-10.0, 11.0)[:, None]
+    found = with_fits_from(problem, first, points)
+    assert len(found) == 1 + len(points)
+    assert found[0].theta == pytest.approx([10.0], abs=1e-2)
+    points[:3] = 5.0
+    found = with_fits_from(problem, first, points)
+    assert len(found) == 1 + N_STARTS
+    assert found[0].theta == pytest.approx([5.0], abs=1e-2)
 
 
 def test_what_a_fit_holds_is_held_in_the_others() -> None:

@@ -103,7 +103,7 @@ def test_each_verb_says_how_it_went_about_it() -> None:
     assert isinstance(fitted, ik.Calibration)
     search = replace(fitted.search, method="complex")
     words = changed(replace(fitted, search=search, start="IG3"), more_starts=7)
-    assert "by complex from IG3 and 7 further starts" in words
+    assert "by complex from IG3 and up to 7 further starts" in words
     assert "Box (1965)" in words
     assert "Box (1965)" not in fitted.methods()
     assert "Student's t" in changed(fitted, likelihood="student")
