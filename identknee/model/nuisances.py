@@ -25,7 +25,7 @@ from identknee.model.effects.effect import (
     amplitudes,
     with_fixed_amplitudes,
 )
-from identknee.model.effects.library import effects_of
+from identknee.model.effects.library import effects_of, structures_lacking
 from identknee.model.effects.loads import INTERNAL, VARUS, LoadError, X, Y, Z
 from identknee.model.effects.readings import flexion_offset
 from identknee.model.effects.tissues import insertion
@@ -363,6 +363,8 @@ def nuisances_of(knee: Knee) -> tuple[Effect, ...]:
     made: list[Effect] = []
     if not isinstance(stated.insertions_mm, float) or stated.insertions_mm > 0.0:
         made.append(insertions(knee))
+    if stated.structures > 0.0:
+        made += structures_lacking(knee, stated.structures)
     for parts, make in _ERRORS.values():
         sizes = [getattr(stated, x) for x in parts]
         if max(sizes) > 0.0:

@@ -81,6 +81,9 @@ class Uncertainty:
         Change of each reading from the intact knee to each state in which something was cut.
     state_elongation
         Strain by which testing stretched all ligaments between the intact knee and each such state.
+    structures
+        Structures of the library that the knee has and the model lacks, such as its capsule: scale
+        of the prior of their stiffness, relative to the usual one.
 
     Raises
     ------
@@ -110,6 +113,10 @@ class Uncertainty:
     state_drift_mm: float = _stated("drift of lengths between states")
     state_drift_deg: float = _stated("drift of angles between states")
     state_elongation: float = _stated("elongation of ligaments between states")
+    # Not printed either.
+    structures: float = field(
+        default=0.0, repr=False, metadata={"meaning": "structures that the model lacks"}
+    )
 
     def __post_init__(self) -> None:
         for name, value in self._values():
@@ -140,11 +147,12 @@ class Uncertainty:
                 found[name] = f"{stated} stated by ligament and bone, the others exact"
             elif value == 0.0:
                 # Insertions are as well known across the bone as along it, if nothing is stated.
-                if name != "insertions_normal_mm":
+                if name not in ("insertions_normal_mm", "structures"):
                     found[name] = "exact"
             else:
                 sized = f"{value:g} {unit_of(name)}".strip()
-                found[name] = f"{100.0 * value:g} %" if name == "load_gain" else sized
+                is_share = name in ("load_gain", "structures")
+                found[name] = f"{100.0 * value:g} %" if is_share else sized
         return found
 
     @property

@@ -229,10 +229,12 @@ Plausible = Annotated[
 Discrepancy = Annotated[
     DiscrepancyLike,
     option(
-        "An error of the model, smooth in flexion and load, that is marginalised: none, smooth, "
-        "or the scales of its prior, such as 0.5mm,1deg. smooth stands for 1mm,2deg.",
+        "What the model may get wrong, so that intervals allow for it. structures: those of the "
+        "library that it lacks, as by {--uncertain} structures=100%. smooth: an error of each "
+        "coordinate, smooth in flexion and load, or the scales of its prior, such as 0.5mm,1deg; "
+        "smooth stands for 1mm,2deg.",
         in_python="Or two numbers in mm and deg.",
-        metavar="none|smooth|MM,DEG",
+        metavar="none|structures|smooth|MM,DEG",
         typed=str,
     ),
 ]

@@ -17,6 +17,7 @@ NoiseLike = str | float | tuple[float, float] | None
 DiscrepancyLike = str | float | tuple[float, float]
 # Scales of the prior of a smooth error of the model [mm, deg]: an estimate.
 SMOOTH = (1.0, 2.0)
+STRUCTURES = "structures"
 ValuesLike = Sequence[str] | Mapping[str, float] | None
 BoundsLike = Sequence[str] | Mapping[str, tuple[float, float]] | None
 
@@ -51,12 +52,14 @@ def noise_of(noise: str | float | tuple[float, float]) -> tuple[float, float]:
 def discrepancy_of(discrepancy: DiscrepancyLike) -> tuple[float, float] | None:
     """Scales of the prior of a smooth error of the model [mm, deg]; None for none.
 
+    Structures that the model lacks are no such error: they are nuisances of the knee.
+
     Raises
     ------
     ValueError
         If they are no such sizes.
     """
-    if discrepancy == "none":
+    if discrepancy in ("none", STRUCTURES):
         return None
     if discrepancy == "smooth":
         return SMOOTH
@@ -64,8 +67,8 @@ def discrepancy_of(discrepancy: DiscrepancyLike) -> tuple[float, float] | None:
         return noise_of(discrepancy)
     except ValueError:
         raise ValueError(
-            f"discrepancy {discrepancy}: give none, smooth, or the scales of its prior in mm and "
-            "deg, for example 0.5mm,1deg"
+            f"discrepancy {discrepancy}: give none, structures, smooth, or the scales of its prior "
+            "in mm and deg, for example 0.5mm,1deg"
         ) from None
 
 

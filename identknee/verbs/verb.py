@@ -40,7 +40,7 @@ from identknee.subject.plausibility import Limit
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, question
 from identknee.verbs.options import IN_FULL, explained, option_of, parameters_in_full
-from identknee.verbs.values import noise_of, noise_words
+from identknee.verbs.values import STRUCTURES, noise_of, noise_words
 
 SUBJECT, DATA, PROTOCOL = "subject", "data", "protocol"
 SUBJECT_FILES = (".toml", ".osim")
@@ -272,6 +272,8 @@ def knee_digest(knee: Knee) -> str:
     if across := knee.uncertainty.insertions_normal_mm:
         parts.append(f"across the bone {across}".encode())
         parts += [x.vertices.tobytes() for x in knee.bones or ()]
+    if lacking := knee.uncertainty.structures:
+        parts.append(f"structures {lacking}".encode())
     if knee.contact_rounding_mm:
         parts.append(f"contact rounding {knee.contact_rounding_mm}".encode())
     for surface in (knee.femur, *knee.tibia):
@@ -504,6 +506,8 @@ def _run(
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
+    if arguments.get("discrepancy") == STRUCTURES and not knee.uncertainty.structures:
+        knee = knee.with_uncertainty(replace(knee.uncertainty, structures=1.0))
     knee = knee.with_plausibility(arguments.get("plausible"))
     asked = None
     if "leave_out" in arguments:

@@ -96,9 +96,8 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     >>> [x.name for x in library(reference_knee())][:3]
     ['anterolateral', 'posteromedial', 'popliteofibular']
     """
-    left_out = {x.name for x in knee.ligaments}
-    groups = {x.name for x in knee.groups}
-    left_out |= {name for name, sheets in COVERED.items() if sheets <= groups}
+    left_out = {*STIFFNESS_SD} - {*lacking_structures(knee)}
+    left_out |= {x.name for x in knee.ligaments}
     left_out |= {name for name, facts in FACTS.items() if facts.is_numerical}
     if not has_order:
         left_out |= NEEDS_ORDER
@@ -115,6 +114,27 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
     if knee.groups:
         named[BUNDLES] = bundles_of_each(knee)
     return tuple(effect for each in named.values() for effect in each)
+
+
+def lacking_structures(knee: Knee) -> tuple[str, ...]:
+    """Names of the structures of the library that a knee has not, also not under another name."""
+    groups, ligaments = {x.name for x in knee.groups}, {x.name for x in knee.ligaments}
+    present = ligaments | {name for name, sheets in COVERED.items() if sheets <= groups}
+    return tuple(x for x in STIFFNESS_SD if x not in present)
+
+
+def structures_lacking(knee: Knee, share: float) -> tuple[Effect, ...]:
+    """Those structures as nuisances, their stiffness with this share of its usual prior's scale."""
+    return tuple(
+        structure(
+            knee,
+            name,
+            [(x.femur, x.tibia) for x in _sites(knee)[name]],
+            stiffness_sd=share * STIFFNESS_SD[name],
+            is_nuisance=True,
+        )
+        for name in lacking_structures(knee)
+    )
 
 
 def effect_named(knee: Knee, name: str) -> Effect:
@@ -249,8 +269,13 @@ def choice_of(
 
 def _effect(knee: Knee, choice: EffectChoice) -> Effect:
     if choice.lines:
-        sds = {"stiffness_sd": choice.stiffness_sd_kN, "site_sd": choice.site_sd_mm}
-        effect: Effect = structure(knee, choice.name, choice.lines, **sds)
+        effect: Effect = structure(
+            knee,
+            choice.name,
+            choice.lines,
+            stiffness_sd=choice.stiffness_sd_kN,
+            site_sd=choice.site_sd_mm,
+        )
     else:
         effect = effect_named(knee, choice.name)
     parameters = effect.parameters

@@ -33,6 +33,7 @@ class MissingStructure:
         "Whether both insertions may be shifted; all lines are shifted together", default=True
     )
     site_sd: float = entry("Prior standard deviation of each shift [mm]", default=SITE_SD)
+    is_nuisance: bool = entry("Whether its amplitudes are nuisances", default=False)
     parameters: Parameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -45,6 +46,7 @@ class MissingStructure:
             upper += 6 * [SITE_SDS * self.site_sd]
         center = [0.0, 1.5, *[0.0] * (len(names) - 2)]
         made = amplitudes(self.name, names, sd, lower=lower, upper=upper, center=center)
+        made = made.as_nuisances() if self.is_nuisance else made
         object.__setattr__(self, "parameters", made)
 
     @property
@@ -162,6 +164,7 @@ class PosteriorCapsule:
             upper=both(medial.upper, lateral.upper),
             center=both(medial.center, lateral.center),
         )
+        made = made.as_nuisances() if self.medial.is_nuisance else made
         object.__setattr__(self, "parameters", made)
 
     @property
@@ -227,6 +230,7 @@ def structure(
     *,
     stiffness_sd: float | None = None,
     site_sd: float | None = None,
+    is_nuisance: bool = False,
 ) -> Structure:
     """A missing structure between points of the common frame of the scan.
 
@@ -246,6 +250,8 @@ def structure(
     site_sd
         Prior standard deviation of the shifts of both ends [mm], 0 where they are not shifted; the
         usual one where None.
+    is_nuisance
+        Whether its amplitudes are nuisances.
 
     Raises
     ------
@@ -258,7 +264,7 @@ def structure(
 
     def made(lines: Sequence[Points]) -> MissingStructure:
         at = structure_at(knee, name, lines, stiffness_sd=sd, sites_vary=spread > 0.0)
-        return replace(at, site_sd=spread)
+        return replace(at, site_sd=spread, is_nuisance=is_nuisance)
 
     if name != CAPSULE:
         return made(lines)
