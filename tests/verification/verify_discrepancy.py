@@ -79,7 +79,11 @@ def _outcome(name: str, seed: int) -> dict[str, Any]:
         for x in ligament_forces(model)
         if x.what.split(".")[0] in names and x.trial in _measured(laxity)
     }
-    parameters = dict(zip(model.parameters.names, theta, strict=True))
+    parameters = {
+        x: value
+        for x, value in zip(model.parameters.names, theta.tolist(), strict=True)
+        if x.split(".")[0] in names
+    }
     others = model.with_protocol(standard_loads(OTHERS)).simulate(theta).coordinates
     return {x: _covered(own, laxity, x, parameters, forces, others) for x in SIZES}
 

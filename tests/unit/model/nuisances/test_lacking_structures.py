@@ -1,4 +1,4 @@
-"""Structures of the library that a model lacks, as nuisances: which, how wide, and what they mend."""
+"""Structures of the library that a model lacks, as nuisances: which, how wide, what they mend."""
 
 from dataclasses import replace
 from pathlib import Path
