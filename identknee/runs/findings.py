@@ -251,7 +251,8 @@ _ALL = (
         doubt=Doubt.MISFIT,
         meaning="The best fit leaves more misfit than noise of the stated size would in one of a "
         "thousand tables.",
-        remedy="Run identknee diagnose; uncertainties that are reported do not allow for it.",
+        remedy="Run identknee diagnose; uncertainties that are reported do not allow for it. Those "
+        "with --discrepancy structures allow for structures that the model lacks.",
     ),
     FindingKind(
         code="error-large",
