@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from identknee.calibrate.agreement import Agreement, agreement
+from identknee.calibrate.fit import Fit
 from identknee.calibrate.problem import (
     BELIEFS,
     TABLE_TERM,
@@ -251,6 +252,26 @@ def conditional_findings(square: float, n_values: int, n_parameters: int) -> tup
     more = misfit_findings(square, n_values, n_parameters)
     gross = (x for x in more if x.severity is Severity.ERROR)
     return (finding("conditional-on-misfit", "data", values), *gross)
+
+
+def distinct_ends(fits: Sequence[Fit], scale: float = 1.0) -> tuple[Fit, ...]:
+    """The ends that fit as well as the first, each once.
+
+    Parameters
+    ----------
+    fits
+        Searches, the lowest first.
+    scale
+        Variance of the residuals.
+    """
+    lowest, *others = fits
+    steps, asked = typical_steps(lowest.parameters), lowest.parameters.is_of_interest
+    known = [lowest]
+    for other in others:
+        away = [np.max(np.abs((other.theta - x.theta) / steps)[asked]) for x in known]
+        if (other.deviance - lowest.deviance) / scale <= AS_GOOD and min(away) > APART:
+            known.append(other)
+    return tuple(known)
 
 
 def misfit_findings(square: float, n_values: int, n_parameters: int) -> tuple[Finding, ...]:

@@ -25,13 +25,10 @@ from identknee.calibrate.problem import (
     evaluate,
     evidence_terms,
     misfit_square,
-    typical_steps,
     with_all_priors,
 )
 from identknee.checks.ambiguous_translations import refitted_translations_findings
 from identknee.checks.fit_checks import (
-    APART,
-    AS_GOOD,
     ComparedForces,
     Fitted,
     agreement_findings,
@@ -40,6 +37,7 @@ from identknee.checks.fit_checks import (
     check_unfitted,
     compared_forces,
     conditional_findings,
+    distinct_ends,
     idle_parameters,
     misfit_findings,
     start_findings,
@@ -313,28 +311,22 @@ class Optimum:
 def _optima(model: LaxityModel, fits: Sequence[Fit], scale: float) -> tuple[Optimum, ...]:
     """The ends of other searches that fit as well at the 95 % level, each once."""
     made: list[Optimum] = []
-    at_fit = tensions_of(model, model.predict(fits[0].theta, derivatives=False))
-    parameters, best = fits[0].parameters, fits[0]
-    steps, known = typical_steps(parameters), [best.theta]
-    for other in fits[1:]:
-        rise = (other.deviance - best.deviance) / scale
-        asked = parameters.is_of_interest
-        away = [np.max(np.abs((other.theta - x) / steps)[asked]) for x in known]
-        if rise <= AS_GOOD and min(away) > APART:
-            forces = tensions_of(model, model.predict(other.theta, derivatives=False))
-            apart = np.nan_to_num(np.abs(forces - at_fit))
-            trial, ligament = np.unravel_index(int(np.argmax(apart)), apart.shape)
-            owner, where = model.knee.ligaments[ligament].name, model.protocol.trials[trial]
-            made.append(
-                Optimum(
-                    theta=other.theta,
-                    rise=rise,
-                    quantity=f"{owner}.{TENSION}{AT}{where}",
-                    force_N=float(forces[trial, ligament]),
-                    force_at_fit_N=float(at_fit[trial, ligament]),
-                )
+    best, *others = distinct_ends(fits, scale)
+    at_fit = tensions_of(model, model.predict(best.theta, derivatives=False))
+    for other in others:
+        forces = tensions_of(model, model.predict(other.theta, derivatives=False))
+        apart = np.nan_to_num(np.abs(forces - at_fit))
+        trial, ligament = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        owner, where = model.knee.ligaments[ligament].name, model.protocol.trials[trial]
+        made.append(
+            Optimum(
+                theta=other.theta,
+                rise=(other.deviance - best.deviance) / scale,
+                quantity=f"{owner}.{TENSION}{AT}{where}",
+                force_N=float(forces[trial, ligament]),
+                force_at_fit_N=float(at_fit[trial, ligament]),
             )
-            known.append(other.theta)
+        )
     return tuple(made)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import Problem, evidence_terms
+from identknee.checks.fit_checks import distinct_ends
 from identknee.identify.posterior.posterior import (
     ConvergenceCheck,
     InfeasiblePriorMass,
@@ -570,8 +571,8 @@ def sample(
         # Hardly a draw of the priors has an equilibrium in every trial where the knee begins at
         # measured poses.
         ends = best_fits(setup, seed=seed, executor=run.executor)
-        whole = [x.theta for x in ends if np.isfinite(setup.problem.residuals(x.theta)).all()]
-        optima = np.array(whole[:n_ensembles])
+        whole = [x for x in ends if np.isfinite(setup.problem.residuals(x.theta)).all()]
+        optima = np.array([x.theta for x in distinct_ends(whole)[:n_ensembles]])
     posterior = sampled(
         problem,
         optima=optima,

@@ -117,6 +117,8 @@ def _row(known: Mapping[tuple[str, str], Mapping[str, Any]]) -> Row:
                 x["deviance"]
                 for verb, x in own.items()
                 if verb not in WITHOUT_FIT and (verb in WITH_PRIORS) is with_priors
+                # A sample that could not begin has none; its outcome is among the notes.
+                if x["deviance"] is not None
             ]
             measures.append(
                 Measure(

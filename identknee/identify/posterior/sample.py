@@ -40,7 +40,7 @@ from identknee.runs.store import Store, resumable_map
 
 # Walkers start around an optimum with this many times the spread that its curvature predicts; less
 # only where too few of them would have a prediction.
-OVERDISPERSION = (2.0, 1.0, 0.5, 0.25)
+OVERDISPERSION = (2.0, 1.0, 0.5, 0.25, 0.1, 0.05, 0.02)
 TRIES = 5
 START_DRAWS = 20
 # Simulations of the fit to a place to start from, for each parameter; most need a third of them. A

@@ -1,13 +1,18 @@
 """What a fit says against itself: misfit, bounds, starts that disagree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from problems import ClosedForm, plain_parameters
 from scipy import stats
 
+from identknee.calibrate.fit import fit
 from identknee.checks.fit_checks import (
     bound_findings,
     common_scale_findings,
     conditional_findings,
+    distinct_ends,
     misfit_findings,
     misfit_probability,
     parameters_at_zero,
@@ -184,3 +189,22 @@ def test_ligaments_that_differ_or_are_near_are_not_scaled(times: list[float]) ->
     theta = np.array(model.parameters.center)
     theta[:4] *= times
     assert common_scale_findings(model, theta) == ()
+
+
+def test_ends_that_fit_as_well_count_once() -> None:
+    """Of ends by their deviances above the lowest: one twice, one beyond 3.84."""
+    problem = ClosedForm(
+        name="flat",
+        parameters=plain_parameters(1),
+        start=np.zeros(1),
+        minimum=np.zeros(1),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([0.5 * x[0]]),
+        jacobian_at=lambda _: np.array([[0.5]]),
+    )
+    begun = fit(problem, problem.start)
+    places = (0.0, 1e-3, 3.0, 3.001, 4.0)
+    ends = [replace(begun, theta=np.array([x]), objective=0.5 * (0.5 * x) ** 2) for x in places]
+    assert [x.theta[0] for x in distinct_ends(ends)] == [0.0, 3.0]
+    assert [x.theta[0] for x in distinct_ends(ends, scale=2.0)] == [0.0, 3.0, 4.0]
+    assert distinct_ends(ends[:1]) == (ends[0],)

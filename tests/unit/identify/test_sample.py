@@ -18,6 +18,7 @@ from problems import (
 from scipy.integrate import quad
 from slow_cases import some_slow
 
+from identknee.calibrate.fit import fit
 from identknee.calibrate.problem import restricted
 from identknee.identify.posterior.posterior import Posterior, SampleOutcome, StopRule
 from identknee.identify.posterior.sample import Ensembles, sample
@@ -155,6 +156,16 @@ def test_without_any_prediction_there_is_no_sample_and_no_traceback() -> None:
     assert "no prediction" in str(found)
     with pytest.raises(ValueError, match="no sample"):
         _ = found.last_check
+
+
+def test_walkers_begin_where_predictions_end_close_to_the_optimum() -> None:
+    """Three hundredths of a standard deviation away there is no prediction on either side."""
+    whole = linear()
+    optimum = fit(whole, whole.parameters.center, priors=True).theta
+    near = Cliff(problem=whole, beyond=lambda x: float(np.max(np.abs(x - optimum))) - 0.03)
+    found = sample(near, optima=optimum[None], rule=StopRule(budget=300), seed=2)
+    assert found.outcome is not SampleOutcome.START_FAILED
+    assert np.all(np.abs(found.samples - optimum) <= 0.03)
 
 
 def test_log_likelihood_is_minus_half_the_deviance() -> None:
