@@ -28,7 +28,7 @@ LEAST = 5.0
 # Half-width of a 95 % interval in standard deviations.
 WIDTH = 1.96
 SIZES = ("none", "smooth", "structures")
-BARRED, BAR = "structures", 0.9
+JUDGED, BAR = "structures", 0.9
 # Trials that were not fitted, at other angles, whose coordinates are predicted.
 OTHERS = [
     "70 N anterior force, 45 deg",
@@ -146,14 +146,14 @@ def _row(done: list[dict[str, Any]]) -> Row:
         found = [x[size] for x in done]
         for what in ("parameters", "forces", "predictions"):
             held, asked = np.sum([x[what] for x in found], axis=0)
-            is_barred = size == BARRED and what != "parameters"
+            is_judged = size == JUDGED and what != "parameters"
             measures.append(
                 Measure(
                     what=f"{what} within their 95 % intervals, discrepancy {size}",
                     value=float(held / asked),
                     unit="1",
-                    bar=BAR if is_barred else None,
-                    at_least=is_barred,
+                    bar=BAR if is_judged else None,
+                    at_least=is_judged,
                     count=int(asked),
                 )
             )
