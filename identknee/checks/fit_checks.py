@@ -39,9 +39,15 @@ from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.laxity.table import Laxity
 from identknee.laxity.trial_words import load_words
 from identknee.model.contact_loads import compartment_forces
+from identknee.model.effects.facts import cause_label
 from identknee.model.force_residuals import ForceResiduals, SuperpositionResiduals
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import strains_of, tensions_of
+from identknee.model.line_loads import (
+    strains_of,
+    structure_names,
+    tensions_of,
+    values_of_structures,
+)
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.prediction import Prediction
 from identknee.runs.declare import OF_QUANTITY, Array, IntArray, array, declared, entry
@@ -55,7 +61,12 @@ from identknee.runs.words import (
     two_values_words,
     unit_of,
 )
-from identknee.subject.plausibility import BUTLER, FAILURE_PCT, strengths_by_name
+from identknee.subject.plausibility import (
+    BUTLER,
+    FAILURE_PCT,
+    OTHER_NAMES,
+    strengths_by_name,
+)
 
 
 @declared
@@ -640,7 +651,7 @@ def implausible_findings(model: LaxityModel, prediction: Prediction) -> tuple[Fi
         return ()
     tension = tensions_of(model, prediction)
     return (
-        *_forces(model, tension),
+        *_forces(model, prediction),
         *_strains(model, prediction, tension),
         *_contact(model, prediction),
     )
@@ -655,29 +666,34 @@ class StrengthTension:
     source: str = entry("Where that is from")
 
 
-def strength_tensions(model: LaxityModel, tension: Array) -> dict[str, StrengthTension]:
+def strength_tensions(model: LaxityModel, prediction: Prediction) -> dict[str, StrengthTension]:
     """Tension and strength of each ligament with a published strength, by its name.
 
-    `tension` of each line has shape ``(n, n_ligaments)``; lines whose names begin with that of the
-    ligament are added up.
+    Lines whose names begin with that of the ligament are added up. Structures that effects add have
+    the strengths of ligaments of other names.
     """
-    names = [x.name for x in model.knee.ligaments]
+    ligaments = [x.name for x in model.knee.ligaments]
+    known = strengths_by_name(model.knee.donor_age)
+    parts = {x: [y for y in ligaments if y.startswith(x)] for x in known}
+    for name in (x for x in structure_names(model) if x in OTHER_NAMES):
+        strength = next((known[x] for x in OTHER_NAMES[name] if x in known), None)
+        if strength is not None:
+            known[name], parts[name] = strength, [name]
     found = {}
-    for ligament, (failure, _, source) in strengths_by_name(model.knee.donor_age).items():
-        own = [k for k, name in enumerate(names) if name.startswith(ligament)]
-        if own:
-            whole = tension[:, own].sum(axis=1)
-            found[ligament] = StrengthTension(tension=whole, failure_N=failure, source=source)
+    for name, (failure, _, source) in known.items():
+        if parts[name]:
+            tension = values_of_structures(model, prediction, parts[name])[0].sum(axis=1)
+            found[name] = StrengthTension(tension=tension, failure_N=failure, source=source)
     return found
 
 
-def _forces(model: LaxityModel, tension: Array) -> Iterator[Finding]:
-    for ligament, found in strength_tensions(model, tension).items():
+def _forces(model: LaxityModel, prediction: Prediction) -> Iterator[Finding]:
+    for ligament, found in strength_tensions(model, prediction).items():
         if np.nanmax(found.tension) <= BEYOND * found.failure_N:
             continue
         worst = int(np.nanargmax(found.tension))
         values = {
-            "ligament": ligament,
+            "ligament": cause_label(ligament) if ligament in OTHER_NAMES else ligament,
             "force_N": found.tension[worst],
             "load": load_words(model.protocol, worst),
             "failure_N": found.failure_N,

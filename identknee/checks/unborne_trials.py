@@ -11,7 +11,6 @@ from identknee.checks.fit_checks import strength_tensions
 from identknee.laxity.table import COORDINATES
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import LaxityModel
-from identknee.model.line_loads import tensions_of
 from identknee.runs.declare import Array, declared, entry
 from identknee.runs.findings import Finding, finding
 from identknee.runs.words import coordinate_words
@@ -78,7 +77,7 @@ def _demands(
     at_rest = continued_from_own_poses(model.with_protocol(unloaded), theta)
     found, rest = (x.predict(theta, derivatives=False) for x in (model, at_rest))
     changes = np.abs(found.coordinates - rest.coordinates)
-    known = strength_tensions(model, tensions_of(model, found))
+    known = strength_tensions(model, found)
     return (
         (*known, *FARTHEST),
         np.array([*(x.failure_N for x in known.values()), *FARTHEST.values()]),

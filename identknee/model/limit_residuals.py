@@ -20,13 +20,15 @@ from identknee.model.line_loads import (
     StructureLoads,
     strains_of,
     structure_loads,
+    structure_names,
     tensions_of,
+    values_of_structures,
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.declare import Array, BoolArray, declared, entry, short_repr
 from identknee.runs.errors import ValueRefused
 from identknee.subject.menisci import MENISCI
-from identknee.subject.plausibility import CONTACT, TENSION, Limit
+from identknee.subject.plausibility import CONTACT, OTHER_NAMES, TENSION, Limit
 
 # The smooth maximum of n values exceeds the largest by at most this times ln(n): 0.3 N for 24
 # trials. A trial given twice raises it by 0.07 N.
@@ -64,7 +66,8 @@ class LimitResiduals:
     model
         The model under the protocol of the data.
     limits
-        The limits. Those for loads that no trial is under are left out.
+        The limits. Those for loads that no trial is under are left out, and those of structures of
+        the library that the model does not have.
     is_everywhere
         Whether a standard load without equilibrium gives no residual, as in a search that begins
         anywhere; otherwise all residuals are infinite then. Trials of the data without equilibrium
@@ -81,6 +84,7 @@ class LimitResiduals:
     is_everywhere: bool = False
     _members: tuple[tuple[int, ...], ...] = field(init=False, repr=False)
     _counts: tuple[BoolArray, ...] = field(init=False, repr=False)
+    _added: tuple[str, ...] = field(init=False, repr=False)
     _standard: LaxityModel | None = field(init=False, repr=False)
     _at: tuple[int, ...] = field(init=False, repr=False)
 
@@ -94,12 +98,19 @@ class LimitResiduals:
             "no varus moment": dominant_loads(protocol).axis != VARUS,
             "nearly unloaded": dominant_loads(protocol).axis < 0,
         }
-        used = [x for x in self.limits if x.load or is_counted[x.trials].any()]
+        added = tuple(x for x in structure_names(self.model) if x in OTHER_NAMES)
+        used = [
+            x
+            for x in self.limits
+            if (x.load or is_counted[x.trials].any())
+            and (x.owner not in OTHER_NAMES or x.owner in added)
+        ]
         loads = list(dict.fromkeys(x.load for x in used if x.load))
         standard = self.model.with_protocol(standard_loads(loads)) if loads else None
         made = {
             "limits": tuple(used),
-            "_members": tuple(_members(self.model, x) for x in used),
+            "_members": tuple(_members(self.model, added, x) for x in used),
+            "_added": added,
             "_counts": tuple(is_counted[x.trials] for x in used),
             "_standard": standard,
             "_at": tuple(loads.index(x.load) if x.load else -1 for x in used),
@@ -127,21 +138,23 @@ class LimitResiduals:
 
     def jacobian(self, theta: Array) -> Array:
         """Their derivatives by theta, shape ``(n, p)``."""
-        by_value = [
-            _residual(limit, value)[1] if np.isfinite(value) else 0.0
-            for limit, value in zip(self.limits, self.values(theta), strict=True)
-        ]
-        # Slopes take longer than a simulation, and few limits are near enough to need them.
-        slopes = self._found(theta, has_slopes=True, wanted=[x != 0.0 for x in by_value])
-        rows = [factor * row for factor, (_, row) in zip(by_value, slopes, strict=True)]
-        return np.array(rows).reshape(self.n, theta.size)
+        rows = np.zeros((self.n, theta.size))
+        for i, (limit, quantity) in enumerate(
+            zip(self.limits, self._quantities(theta), strict=True)
+        ):
+            value = quantity.value
+            by_value = _residual(limit, value)[1] if np.isfinite(value) else 0.0
+            # Slopes take longer than a simulation, and few limits are near enough to need them.
+            if by_value != 0.0:
+                rows[i] = by_value * quantity.slopes
+        return rows
 
     def values(self, theta: Array) -> Array:
         """The limited values: smooth maximum, mean, or value under the standard load, ``(n,)``.
 
         NaN where none of the trials of a limit has an equilibrium.
         """
-        return np.array([value for value, _ in self._found(theta, has_slopes=False)])
+        return np.array([x.value for x in self._quantities(theta)])
 
     def at_fit(self, theta: Array) -> tuple[LimitAtFit, ...]:
         """Each limit with the value of the model."""
@@ -159,27 +172,26 @@ class LimitResiduals:
             for x, value, left in found
         )
 
-    def _found(
-        self, theta: Array, *, has_slopes: bool, wanted: Sequence[bool] | None = None
-    ) -> list[tuple[float, Array]]:
-        """Value and derivatives of the quantity of each limit; zeros where it is not wanted."""
+    def _quantities(self, theta: Array) -> list["_Quantity"]:
+        """The quantity of each limit at theta."""
         touched = [x for i, x in enumerate(self._counts) if not self._members[i]]
         in_contact = np.flatnonzero(np.any(touched, axis=0)).tolist() if touched else []
-        of_trials = _Loads(self.model, theta, has_slopes=has_slopes, in_contact=in_contact)
-        of_standard = None
-        if self._standard is not None:
-            every = range(self._standard.protocol.n)
-            of_standard = _Loads(self._standard, theta, has_slopes=has_slopes, in_contact=every)
-        found = []
-        for i, limit in enumerate(self.limits):
-            if wanted is not None and not wanted[i]:
-                found.append((0.0, np.zeros(theta.size)))
-            elif limit.load and of_standard is not None:
-                counts = np.arange(self._standard.protocol.n) == self._at[i]  # type: ignore[union-attr]
-                found.append(of_standard.reduced(limit, self._members[i], counts))
-            else:
-                found.append(of_trials.reduced(limit, self._members[i], self._counts[i]))
-        return found
+        of_trials = _Loads(self.model, theta, self._added, in_contact)
+        standard, of_standard, n = self._standard, None, 0
+        if standard is not None:
+            n = standard.protocol.n
+            of_standard = _Loads(standard, theta, self._added, range(n))
+        return [
+            _Quantity(
+                loads=of_standard if limit.load and of_standard is not None else of_trials,
+                limit=limit,
+                members=members,
+                counts=np.arange(n) == at if limit.load else counts,
+            )
+            for limit, members, counts, at in zip(
+                self.limits, self._members, self._counts, self._at, strict=True
+            )
+        ]
 
     def _is_standard_lost(self, theta: Array) -> bool:
         standard = self._standard
@@ -187,96 +199,143 @@ class LimitResiduals:
 
 
 class _Loads:
-    """Tensions, strains and contact of all trials at one theta, each computed on first use."""
+    """Tensions, strains and contact of all trials at one theta, each computed on first use.
+
+    Columns of tensions and strains are those of the ligaments, then of the structures `added`.
+    Contact has derivatives in the trials `in_contact`.
+    """
 
     def __init__(
-        self, model: LaxityModel, theta: Array, *, has_slopes: bool, in_contact: Sequence[int]
+        self, model: LaxityModel, theta: Array, added: Sequence[str], in_contact: Sequence[int]
     ) -> None:
-        # Trials whose contact is asked for.
-        self.in_contact = list(in_contact)
-        self.model, self.has_slopes, self.n_parameters = model, has_slopes, theta.size
+        self.model, self.added, self.in_contact = model, list(added), list(in_contact)
         self.prediction = model.predict_once(theta)
-        self._known: dict[str, tuple[Array, Array]] = {}
-
-    def reduced(
-        self, limit: Limit, members: tuple[int, ...], counts: BoolArray
-    ) -> tuple[float, Array]:
-        """The quantity of a limit and its derivatives; NaN where no trial has an equilibrium."""
-        values, slopes = self._by_trial(limit.what, members)
-        if limit.less:
-            other, other_slopes = self._by_trial(limit.less, members)
-            values, slopes = values - other, slopes - other_slopes
-        used = counts & self.prediction.is_converged
-        if not used.any():
-            return np.nan, np.zeros(self.n_parameters)
-        values, slopes = values[used], slopes[used]
-        if limit.form == "strength":
-            soft = SOFTNESS[limit.unit]
-            flat, rows = values.ravel(), slopes.reshape(values.size, self.n_parameters)
-            known = np.isfinite(flat)
-            if not known.any():
-                return np.nan, np.zeros(self.n_parameters)
-            flat, rows = flat[known], rows[known]
-            total = np.logaddexp.reduce(flat / soft)
-            return float(soft * total), np.exp(flat / soft - total) @ rows
-        whole = values.sum(axis=1)
-        return float(whole.mean()), slopes.sum(axis=1).mean(axis=0)
-
-    def _by_trial(self, what: str, members: tuple[int, ...]) -> tuple[Array, Array]:
-        """A quantity in every trial, shapes ``(n, k)`` and ``(n, k, p)``.
-
-        For tensions k is 1, the sum over members; for strains k is the number of members.
-        """
-        owner, _, kind = what.rpartition(".")
-        if owner == CONTACT:
-            side = COMPARTMENTS.index(kind.partition("_")[0])
-            values, slopes = self._of("contact")
-            return values[:, side, None], slopes[:, side, None]
-        values, slopes = self._of(kind)
-        values, slopes = values[:, members], slopes[:, members]
-        if kind == TENSION:
-            return (
-                np.nan_to_num(values).sum(axis=1, keepdims=True),
-                np.nan_to_num(slopes).sum(axis=1, keepdims=True),
-            )
-        return values, slopes
-
-    def _of(self, kind: str) -> tuple[Array, Array]:
-        if kind not in self._known:
-            self._known[kind] = self._computed(kind)
-        return self._known[kind]
-
-    def _computed(self, kind: str) -> tuple[Array, Array]:
-        model, made = self.model, self.prediction
-        if kind == "contact":
-            # The whole load of a compartment, through cartilage and meniscus.
-            values = compartment_forces(made)
-            slopes = np.zeros((*values.shape, self.n_parameters))
-            if self.has_slopes:
-                found = contact_jacobian(model, made, self.in_contact)[:, :, 0]
-                if any(x.name == MENISCI for x in model.effects):
-                    found = found + meniscus_jacobian(model, made, self.in_contact)[:, :, 0]
-                slopes[self.in_contact] = found
-            return values, slopes
-        if not self.has_slopes:
-            values = (tensions_of if kind == TENSION else strains_of)(model, made)
-            return values, np.zeros((*values.shape, self.n_parameters))
-        n, loads = len(model.knee.ligaments), self._structures
-        if kind == TENSION:
-            return loads.tensions[:, :n], loads.tension_jacobian[:, :n]
-        return loads.strains[:, :n], loads.strain_jacobian[:, :n]
 
     @cached_property
-    def _structures(self) -> StructureLoads:
+    def tension(self) -> Array:
+        """Tensions [N], shape ``(n, k)``."""
+        own = tensions_of(self.model, self.prediction)
+        if not self.added:
+            return own
+        return np.hstack([own, values_of_structures(self.model, self.prediction, self.added)[0]])
+
+    @cached_property
+    def strain(self) -> Array:
+        """Strains of the ligaments [%], shape ``(n, n_ligaments)``."""
+        return strains_of(self.model, self.prediction)
+
+    @cached_property
+    def contact(self) -> Array:
+        """The whole load of each compartment, through cartilage and meniscus [N], ``(n, 2)``."""
+        return compartment_forces(self.prediction)
+
+    @cached_property
+    def structures(self) -> StructureLoads:
+        """Ligaments and structures with derivatives."""
         return structure_loads(self.model, self.prediction)
 
+    @cached_property
+    def tension_slopes(self) -> Array:
+        """Derivatives of `tension`, shape ``(n, k, p)``."""
+        names = self.structures.names
+        columns = [*range(len(self.model.knee.ligaments)), *(names.index(x) for x in self.added)]
+        return self.structures.tension_jacobian[:, columns]
 
-def _members(model: LaxityModel, limit: Limit) -> tuple[int, ...]:
-    """Indices of the ligaments of a limit; none for contact."""
-    owner = limit.what.rpartition(".")[0]
+    @property
+    def strain_slopes(self) -> Array:
+        """Derivatives of `strain`, shape ``(n, n_ligaments, p)``."""
+        return self.structures.strain_jacobian[:, : len(self.model.knee.ligaments)]
+
+    @cached_property
+    def contact_slopes(self) -> Array:
+        """Derivatives of `contact`, shape ``(n, 2, p)``; zeros outside `in_contact`."""
+        model, made = self.model, self.prediction
+        slopes = np.zeros((*self.contact.shape, made.theta.size))
+        found = contact_jacobian(model, made, self.in_contact)[:, :, 0]
+        if any(x.name == MENISCI for x in model.effects):
+            found = found + meniscus_jacobian(model, made, self.in_contact)[:, :, 0]
+        slopes[self.in_contact] = found
+        return slopes
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Quantity:
+    """What a limit is about, from the loads of trials that count.
+
+    Attributes
+    ----------
+    loads, limit
+        The loads and the limit.
+    members
+        Columns of its ligaments or structures in the loads; none for contact.
+    counts
+        Whether each trial counts.
+    """
+
+    loads: _Loads
+    limit: Limit
+    members: tuple[int, ...]
+    counts: BoolArray
+
+    @property
+    def value(self) -> float:
+        """Smooth maximum or mean over the trials; NaN where none has an equilibrium."""
+        values = self._trials
+        if not np.isfinite(values).any():
+            return np.nan
+        if self.limit.form != "strength":
+            return float(values.sum(axis=1).mean())
+        soft = SOFTNESS[self.limit.unit]
+        return float(soft * np.logaddexp.reduce(values[np.isfinite(values)] / soft))
+
+    @property
+    def slopes(self) -> Array:
+        """Derivatives of a finite value, shape ``(p,)``."""
+        values = self._trials
+        slopes = self._of_parts(
+            self.loads.contact_slopes
+            if not self.members
+            else self.loads.tension_slopes
+            if self.limit.what.endswith(TENSION)
+            else self.loads.strain_slopes
+        )
+        if self.limit.form != "strength":
+            return np.asarray(slopes.sum(axis=1).mean(axis=0))
+        is_known = np.isfinite(values)
+        known = values[is_known] / SOFTNESS[self.limit.unit]
+        return np.asarray(np.exp(known - np.logaddexp.reduce(known)) @ slopes[is_known])
+
+    @cached_property
+    def _trials(self) -> Array:
+        loads = self.loads
+        if not self.members:
+            return self._of_parts(loads.contact)
+        return self._of_parts(loads.tension if self.limit.what.endswith(TENSION) else loads.strain)
+
+    def _of_parts(self, whole: Array) -> Array:
+        """Of trials that count and have an equilibrium: force or sum of tensions, each strain."""
+        used = whole[self.counts & self.loads.prediction.is_converged]
+        if self.members:
+            own = used[:, self.members]
+            is_sum = self.limit.what.endswith(TENSION)
+            return np.nan_to_num(own).sum(axis=1, keepdims=True) if is_sum else own
+        side, *less = (_side(x) for x in (self.limit.what, self.limit.less) if x)
+        found = used[:, side, None]
+        return np.asarray(found - used[:, less] if less else found)
+
+
+def _side(what: str) -> int:
+    """Index of the compartment in a name such as ``"contact.medial_N"``."""
+    return COMPARTMENTS.index(what.removeprefix(f"{CONTACT}.").partition("_")[0])
+
+
+def _members(model: LaxityModel, added: Sequence[str], limit: Limit) -> tuple[int, ...]:
+    """Columns of the ligaments or added structures of a limit; none for contact."""
+    names, owner = [x.name for x in model.knee.ligaments], limit.owner
     if owner == CONTACT:
         return ()
-    names = [x.name for x in model.knee.ligaments]
+    if owner in added:
+        return (len(names) + added.index(owner),)
     found = [i for i, x in enumerate(names) if x.startswith(owner)]
     if not found:
         group = next((x.members for x in model.knee.groups if x.name == owner), ())

@@ -51,6 +51,15 @@ STRENGTHS: Mapping[str, tuple[float, float, str]] = {
     "dMCL": (101.0, ASSUMED_SHARE * 101.0, WIJDICKS),
     "POL": (256.0, ASSUMED_SHARE * 256.0, WIJDICKS),
 }
+# Structures that a model may have beside the ligaments of the subject, by their names in the
+# library of causes, and how the names of ligaments begin that are the same structure.
+OTHER_NAMES: Mapping[str, tuple[str, ...]] = {
+    "anterolateral": ("ALL", "ALS"),
+    "posteromedial": ("POL",),
+    "popliteofibular": ("PFL",),
+    "deep_mcl": ("dMCL",),
+    "posterior_capsule": ("PCAP",),
+}
 # The ACL by age of the donor: up to so many years, mean and standard deviation [N].
 ACL, YOUNG = "ACL", (2160.0, 157.0)
 ACL_BY_AGE = ((37.0, *YOUNG), (55.0, 1503.0, 83.0), (np.inf, 658.0, 129.0))
@@ -155,6 +164,11 @@ class Limit:
         return self.quantity.partition(AT)[0]
 
     @property
+    def owner(self) -> str:
+        """Ligament, group or structure that is limited, or ``"contact"``."""
+        return self.what.rpartition(".")[0]
+
+    @property
     def unit(self) -> str:
         """Unit of its numbers."""
         return "%" if self.what.endswith(STRAIN) else "N"
@@ -169,13 +183,14 @@ class Limit:
 Limits = tuple[Limit, ...]
 
 
+LIMITS_COUNT = (
+    "Limits of what a knee does count as evidence beside the data. To leave out: --plausible none."
+)
+
+
 def limit_sentences(limits: Limits) -> tuple[str, ...]:
     """That limits count, as a sentence for the user; none without limits."""
-    if not limits:
-        return ()
-    n = "1 limit" if len(limits) == 1 else f"{len(limits)} limits"
-    said = f"{n} of what a knee does {'counts' if len(limits) == 1 else 'count'} as evidence"
-    return (f"{said} beside the data. To leave out: --plausible none.",)
+    return (LIMITS_COUNT,) if limits else ()
 
 
 PlausibleLike = str | Path | Sequence[Limit] | None
@@ -183,6 +198,9 @@ PlausibleLike = str | Path | Sequence[Limit] | None
 
 def default_limits(ligaments: Sequence[str], donor_age: float | None = None) -> Limits:
     """Limits for a knee with ligaments of these names: strengths, strains, balance of contact.
+
+    The strengths include those of structures that a model may have beside the ligaments, as a cause
+    that explains the data. They count where it has them.
 
     Parameters
     ----------
@@ -209,6 +227,13 @@ def _default_limits(ligaments: Sequence[str], donor_age: float | None) -> Iterat
                 size=mean,
                 spread=sd,
                 source=source,
+            )
+    for name, others in OTHER_NAMES.items():
+        known = [strengths[x] for x in others if x in strengths]
+        if known and not any(x.startswith(others) for x in ligaments):
+            mean, sd, source = known[0]
+            yield Limit(
+                form="strength", quantity=f"{name}.{TENSION}", size=mean, spread=sd, source=source
             )
     named = [next((k for k in strengths if x.startswith(k)), x) for x in ligaments]
     for name in dict.fromkeys(named):

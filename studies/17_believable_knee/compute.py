@@ -14,7 +14,16 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from common.records import Row, begun, parsed_options, rounded, say, working, write_record
+from common.records import (
+    Row,
+    begun,
+    begun_again,
+    parsed_options,
+    rounded,
+    say,
+    working,
+    write_record,
+)
 from predictions import (
     JUDGED,
     FittedModel,
@@ -34,11 +43,17 @@ from identknee.laxity.protocol import LOADS, dominant_loads
 from identknee.model.candidate_laxity import CONTACT_SD, TENSION_SD
 from identknee.model.contact_loads import COMPARTMENTS, contact_values
 from identknee.model.discrepancy import SmoothDiscrepancy
-from identknee.model.line_loads import strains_of, tensions_of
+from identknee.model.line_loads import (
+    strains_of,
+    structure_names,
+    tensions_of,
+    values_of_structures,
+)
+from identknee.model.prediction import Prediction
 from identknee.runs.declare import Array
 from identknee.runs.executors import serial
 from identknee.subject.knee import EffectChoice, with_stated_uncertainty
-from identknee.subject.plausibility import CONTACT, strengths_by_name
+from identknee.subject.plausibility import CONTACT, OTHER_NAMES, strengths_by_name
 from identknee.verbs.fit import split
 from identknee.verbs.identification import best_fits, identification, with_noise
 
@@ -63,6 +78,8 @@ PLAIN, LIMITS, BONE = "plain", "limits", "limits, on the bone"
 ERROR, BOTH = "error of the model", "limits and error of the model"
 MENISCI = "meniscus"
 WITH_MENISCI, PLAIN_MENISCI = "limits, menisci", "menisci"
+# The structures that four lines lack, as nuisances with their priors. Bundles lack none.
+UNKNOWN, WITH_UNKNOWN = "structures unknown", "limits, structures unknown"
 VARIANTS: Mapping[str, Variant] = {
     PLAIN: Variant(),
     LIMITS: Variant(plausible="default"),
@@ -71,6 +88,8 @@ VARIANTS: Mapping[str, Variant] = {
     BOTH: Variant(plausible="default", discrepancy="smooth"),
     WITH_MENISCI: Variant(plausible="default", structure=MENISCI),
     PLAIN_MENISCI: Variant(structure=MENISCI),
+    UNKNOWN: Variant(uncertain=f"{UNCERTAIN},structures=100%"),
+    WITH_UNKNOWN: Variant(plausible="default", uncertain=f"{UNCERTAIN},structures=100%"),
 }
 FITTED = (PLAIN, LIMITS, BONE, ERROR, BOTH)
 # Sheets of the capsule are parts of the knee, all others effects whose amplitudes are fitted.
@@ -95,7 +114,13 @@ PREDICTING: Fits = {
     (BUNDLES, LIMITS): (FIRST_SPLIT,),
 }
 LAST_PREDICTING: Fits = {(BUNDLES, PLAIN): ("0 deg",), (BUNDLES, LIMITS): ("0 deg",)}
+PREDICTING_UNKNOWN: Fits = {(LINES, x): tuple(SPLITS) for x in (UNKNOWN, WITH_UNKNOWN)}
 PROFILED = (PLAIN, LIMITS)
+FITS_UNKNOWN, PROFILES_UNKNOWN, HELD_OUT_UNKNOWN = ALONE = (
+    "structures_unknown",
+    "profiles_with_structures_unknown",
+    "held_out_with_structures_unknown",
+)
 # A single measurement beside the table: what, and in which of its trials. The values are those of
 # the believable knee of four lines.
 MEASUREMENTS: tuple[tuple[tuple[str, ...], str], ...] = (
@@ -108,13 +133,17 @@ DIGITS = 6
 
 def main() -> None:
     """Compute what the store does not hold yet and write the record."""
-    options = parsed_options(__file__)
+    options = parsed_options(__file__, parts=ALONE)
     record = begun(options, KNEES, noise=NOISE, uncertain=UNCERTAIN, splits=SPLITS)
     record["knees"] = {x: {} for x in KNEES}
+    if options.part:
+        record = begun_again(options, record)
     began = time.perf_counter()
     with working(options, inputs=record["head"]["inputs"]) as kept:
 
         def done(part: str, work: Callable[[Row], Row], tasks: list[Row]) -> None:
+            if options.part and part not in options.part:
+                return
             rows = kept(work, tasks, part)
             for knee in KNEES:
                 record["knees"][knee][part] = [x for x in rows if x["knee"] == knee]
@@ -161,6 +190,10 @@ def main() -> None:
         )
         done("profiles", profiled, [{"knee": LINES, "variant": x} for x in PROFILED])
         done("held_out_at_0_deg", held_out, held_out_tasks(LAST_PREDICTING))
+        unknown = [{"knee": LINES, "variant": x} for x in (UNKNOWN, WITH_UNKNOWN)]
+        done(FITS_UNKNOWN, fitted, unknown)
+        done(PROFILES_UNKNOWN, profiled, unknown[1:])
+        done(HELD_OUT_UNKNOWN, held_out, held_out_tasks(PREDICTING_UNKNOWN))
 
 
 def held_out_tasks(fits: Fits) -> list[Row]:
@@ -411,7 +444,17 @@ def at_fit(end: FittedModel) -> Row:
             for x, own in zip(names, taut.T, strict=True)
         },
         "implausible": [{"sentence": x.sentence} for x in findings],
+        **added_forces(model, prediction),
     }
+
+
+def added_forces(model: ik.LaxityModel, prediction: Prediction) -> Row:
+    """The force of each structure that the model has beside the ligaments; none without any."""
+    names = [x for x in structure_names(model) if x in OTHER_NAMES]
+    if not names:
+        return {}
+    found = values_of_structures(model, prediction, names)[0]
+    return {"added_N": dict(zip(names, found.T, strict=True))}
 
 
 def rmse_of(end: FittedModel) -> Array:

@@ -57,7 +57,9 @@ def knee_digest(knee: ik.Knee) -> str:
     return ik.runs.digest(b"".join(parts))
 
 
-def parsed_options(file: str, quick: str = "", **numbers: int) -> argparse.Namespace:
+def parsed_options(
+    file: str, quick: str = "", parts: Sequence[str] = (), **numbers: int
+) -> argparse.Namespace:
     """What was asked of a study's computation.
 
     Parameters
@@ -66,6 +68,8 @@ def parsed_options(file: str, quick: str = "", **numbers: int) -> argparse.Names
         The script; its folder is the study's.
     quick
         What the small version leaves; without it there is none.
+    parts
+        Parts of the record that can be computed alone.
     numbers
         Further options that are whole numbers, with their defaults.
     """
@@ -78,6 +82,14 @@ def parsed_options(file: str, quick: str = "", **numbers: int) -> argparse.Names
     parser.add_argument("--workers", type=int, default=2)
     for name, default in numbers.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=default)
+    if parts:
+        parser.add_argument(
+            "--part",
+            action="append",
+            choices=parts,
+            default=[],
+            help="compute this part alone; all others stay as they are",
+        )
     if quick:
         parser.add_argument("--quick", action="store_true", help=quick)
     words = ["python", f"studies/{folder.name}/compute.py", *sys.argv[1:]]
@@ -97,7 +109,7 @@ def begun(options: argparse.Namespace, knees: Iterable[str], **settings: Any) ->
     settings
         Every other setting by name, seeds included.
     """
-    places = ("store", "record", "command")
+    places = ("store", "record", "command", "part")
     given = {name: value for name, value in vars(options).items() if name not in places}
     head = {
         "command": options.command,
@@ -109,6 +121,22 @@ def begun(options: argparse.Namespace, knees: Iterable[str], **settings: Any) ->
         "inputs": {name: knee_digest(study_knee(name)) for name in knees},
     }
     return {"head": head, "knees": {}}
+
+
+def begun_again(options: argparse.Namespace, record: Row) -> Row:
+    """The record as it was written, whose head says of `options.part` how it was made instead.
+
+    Parameters
+    ----------
+    options
+        As `parsed_options` gives them.
+    record
+        As `begun` makes it now.
+    """
+    known: Row = json.loads(options.record.read_text())
+    own = {x: record["head"][x] for x in ("command", "commit", "date", "machine", "versions")}
+    known["head"]["parts"] = {**known["head"].get("parts", {}), **dict.fromkeys(options.part, own)}
+    return known
 
 
 @contextmanager

@@ -57,6 +57,7 @@ from identknee.subject.capsule import SHEETS
 from identknee.subject.insertion_sites import structure_sites
 from identknee.subject.knee import EffectChoice, Knee
 from identknee.subject.menisci import MENISCI, plateaus_without_rim
+from identknee.subject.plausibility import OTHER_NAMES
 
 # Sheets of a subject's own capsule that replace a structure of the library.
 COVERED: Mapping[str, frozenset[str]] = MappingProxyType(
@@ -118,8 +119,11 @@ def library(knee: Knee, *, has_order: bool = False, has_phase: bool = False) -> 
 
 def lacking_structures(knee: Knee) -> tuple[str, ...]:
     """Names of the structures of the library that a knee has not, also not under another name."""
-    groups, ligaments = {x.name for x in knee.groups}, {x.name for x in knee.ligaments}
-    present = ligaments | {name for name, sheets in COVERED.items() if sheets <= groups}
+    groups, ligaments = {x.name for x in knee.groups}, [x.name for x in knee.ligaments]
+    present = {*ligaments, *(name for name, sheets in COVERED.items() if sheets <= groups)}
+    present |= {
+        name for name, own in OTHER_NAMES.items() if any(x.startswith(own) for x in ligaments)
+    }
     return tuple(x for x in STIFFNESS_SD if x not in present)
 
 

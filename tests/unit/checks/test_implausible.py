@@ -7,7 +7,8 @@ import pytest
 
 import identknee as ik
 from identknee.checks.fit_checks import implausible_findings
-from identknee.model.line_loads import tensions_of
+from identknee.model.effects.library import effect_named
+from identknee.model.line_loads import structure_values, tensions_of
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,19 @@ def test_a_force_beyond_twice_the_failure_load_is_said(model: ik.LaxityModel) ->
     assert found.where == "LCL"
     assert "varus moment" in found.values["load"]
     assert found.values["force_N"] > 2.0 * found.values["failure_N"] == 590.0
+
+
+def test_a_force_of_an_added_structure_is_said(model: ik.LaxityModel) -> None:
+    own = model.with_effects([effect_named(model.knee, "deep_mcl")])
+    theta = np.array(own.parameters.start)
+    theta[own.parameters.index("deep_mcl.stiffness_kN")] = 15.0
+    theta[own.parameters.index("deep_mcl.reference_strain_pct")] = 6.0
+    prediction = own.predict(theta, derivatives=False)
+    largest = np.nanmax(structure_values(own, prediction, "deep_mcl")[0])
+    found = {x.where: x for x in implausible_findings(own, prediction)}["deep_mcl"]
+    assert found.code == "implausible-force"
+    assert found.values["force_N"] == pytest.approx(largest)
+    assert largest > 2.0 * found.values["failure_N"] == 202.0
 
 
 def test_contact_on_one_side_alone_is_said(model: ik.LaxityModel) -> None:

@@ -13,9 +13,10 @@ import identknee as ik
 from identknee.calibrate.problem import BELIEFS, PLAUSIBILITY_TERM, evidence_terms, misfit_square
 from identknee.checks.usable_trials import defined_everywhere, with_other_terms
 from identknee.model.contact_loads import contact_values, meniscus_values
+from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals, standard_loads
-from identknee.model.line_loads import strains_of, tensions_of
+from identknee.model.line_loads import strains_of, structure_values, tensions_of
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Knee, Uncertainty
@@ -196,3 +197,25 @@ def test_a_limit_of_what_the_knee_lacks_is_refused() -> None:
     limit = Limit(form="strength", quantity="POL.tension_N", size=250.0, spread=80.0)
     with pytest.raises(ValueRefused):
         LimitResiduals(model=model, limits=[limit])
+
+
+def test_a_structure_beside_the_ligaments_has_its_strength_where_the_model_has_it() -> None:
+    knee = ik.reference_knee()
+    limits = default_limits([x.name for x in knee.ligaments])
+    plain = LimitResiduals(model=LaxityModel(knee=knee, protocol=PROTOCOL), limits=limits)
+    deep = {"deep_mcl.tension_N"}
+    assert not deep & {x.name for x in plain.limits}
+    model = LaxityModel(knee=knee, protocol=PROTOCOL, effects=[effect_named(knee, "deep_mcl")])
+    theta = np.array(model.parameters.start)
+    theta[model.parameters.index("deep_mcl.stiffness_kN")] = 3.0
+    theta[model.parameters.index("deep_mcl.reference_strain_pct")] = 5.0
+    found = LimitResiduals(model=model, limits=limits)
+    assert {x.name for x in found.limits} - {x.name for x in plain.limits} == deep
+    k = [x.name for x in found.limits].index(*deep)
+    largest = np.nanmax(structure_values(model, model.predict(theta), "deep_mcl")[0])
+    assert 0.0 <= found.values(theta)[k] - largest <= 0.1 * np.log(PROTOCOL.n)
+    speaking = _speaking(found, theta)
+    slopes = approx_fprime(theta, lambda x: float(speaking.residuals(x)[k]), 1e-6)
+    assert abs(slopes[-8:]).max() > 0.0
+    scale = abs(slopes).max()
+    np.testing.assert_allclose(speaking.jacobian(theta)[k], slopes, atol=2e-4 * scale)

@@ -42,9 +42,20 @@ def test_what_the_knee_has_is_not_among_them(reference: Knee) -> None:
     first, *others = reference.ligaments
     named = reference.with_ligaments([first, *others, replace(first, name="deep_mcl")])
     covered = with_capsule(reference, ["posteromedial"])
-    for knee, own in ((named, "deep_mcl"), (covered, "posteromedial")):
+    abbreviated = reference.with_ligaments([first, *others, replace(first, name="dMCL")])
+    for knee, own in (
+        (named, "deep_mcl"),
+        (abbreviated, "deep_mcl"),
+        (covered, "posteromedial"),
+    ):
         made = nuisances_of(knee.with_uncertainty(STATED))
         assert {x.name for x in made} == {*STIFFNESS_SD} - {own}
+
+
+def test_a_knee_of_bundles_lacks_none_of_them() -> None:
+    knee = ik.example("s192803_bundles")
+    assert nuisances_of(knee.with_uncertainty(STATED)) == ()
+    assert not {x.name for x in library(knee)} & {*STIFFNESS_SD}
 
 
 def test_the_file_of_a_subject_states_them(reference: Knee, tmp_path: Path) -> None:
