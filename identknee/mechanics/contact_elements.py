@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from identknee.mechanics.compiled import compiled, compiled_into_callers
+from identknee.mechanics.compiled import compiled, compiled_into_callers, compiled_once
 from identknee.mechanics.distance_field import REFERENCE_DEPTH
 from identknee.mechanics.elements import NOTHING, added
 from identknee.mechanics.memory import FIRST_ROUNDED, N_LISTED, N_LISTINGS, N_TOUCHING, NEAR_CELLS
@@ -220,6 +220,19 @@ def spline_at(c, first, stride_x, stride_y, x, y, z):
         fxz += wz * vx
         fyz += wz * vy
     return f, fx, fy, fz, fxx, fyy, fzz, fxy, fxz, fyz
+
+
+@compiled_once
+def expand_at(places, coefficients, shape, expansions):
+    """Write the spline's value and derivatives, in units of the grid, at places (n, 3) in it."""
+    stride_x, stride_y = shape[1] * shape[2], shape[2]
+    for i in range(len(places)):
+        x, y, z = places[i, 0], places[i, 1], places[i, 2]
+        ix, iy, iz = np.int64(x), np.int64(y), np.int64(z)
+        first = (ix - 1) * stride_x + (iy - 1) * stride_y + iz - 1
+        found = spline_at(coefficients, first, stride_x, stride_y, x - ix, y - iy, z - iz)
+        for k in range(10):
+            expansions[i, k] = found[k]
 
 
 KEPT_GAP = 0.1  # mm; points farther from contact are no part of an expansion

@@ -214,15 +214,15 @@ def _pressing(
 
 def distances(field: DistanceField, places: Array) -> tuple[Array, Array]:
     """Signed distance [mm] of places (n, 3) inside the grid, ``(n,)``, and its gradient (n, 3)."""
-    found = _spline_derivatives(field, places, order=1)
-    return found[0, 0, 0], np.stack([found[1, 0, 0], found[0, 1, 0], found[0, 0, 1]], axis=1)
+    found = _expansions(field, places)
+    return found[:, 0], found[:, 1:4]
 
 
 def gaps_to(field: DistanceField, places: Array) -> Array:
     """Signed distance [mm] of places (n, 3) to the femur, ``(n,)``; infinite outside the field."""
     inside = _is_in_field(field, places)
     gaps = np.full(len(places), np.inf)
-    gaps[inside] = _spline_derivatives(field, places[inside], order=0)[0, 0, 0]
+    gaps[inside] = distances(field, places[inside])[0]
     return gaps
 
 
@@ -235,67 +235,19 @@ def _is_in_field(field: DistanceField, places: Array) -> BoolArray:
 
 def distance_bending(field: DistanceField, places: Array) -> Array:
     """Second derivatives of the distance at places (n, 3) inside the grid [1/mm], ``(n, 3, 3)``."""
-    found, axes = _spline_derivatives(field, places, order=2), np.eye(3, dtype=int)
-    bending = np.empty((len(places), 3, 3))
-    for i in range(3):
-        for j in range(3):
-            bending[:, i, j] = found[tuple(axes[i] + axes[j])]
-    return bending
+    # Those along x, y and z, then of x and y, x and z, y and z.
+    return _expansions(field, places)[:, np.array([[4, 7, 8], [7, 5, 9], [8, 9, 6]])]
 
 
-# Where a cell's four nodes lie along each axis.
-NODES = np.arange(-1, 3)
+def _expansions(field: DistanceField, places: Array) -> Array:
+    """Distance, gradient and second derivatives of the spline at places inside it, ``(n, 10)``."""
+    # The compiler takes half a second to load.
+    from identknee.mechanics.contact_elements import expand_at
 
-
-def _spline_derivatives(
-    field: DistanceField, places: Array, *, order: int
-) -> dict[tuple[int, int, int], Array]:
-    """The derivatives of the distance field's spline at places inside the grid, ``(n,)`` each.
-
-    They are named by their order along each axis, whose sum is at most `order`.
-    """
-    at = (places - field.origin) / field.spacing
-    cell = np.floor(at).astype(np.int64)
-    weights = _weights((at - cell).T)
-    _, ny, nz = field.coefficients.shape
-    around = (ny * nz * NODES)[:, None, None] + (nz * NODES)[:, None] + NODES
-    nodes = field.coefficients.ravel()[around[..., None] + cell @ np.array([ny * nz, nz, 1])]
-    found = {}
-    for k in range(order + 1):
-        along_z = _weighted(nodes, weights[k, :, 2])
-        for j in range(order + 1 - k):
-            along_y = _weighted(along_z, weights[j, :, 1])
-            for i in range(order + 1 - k - j):
-                value = _weighted(along_y, weights[i, :, 0])
-                found[i, j, k] = value / field.spacing ** (i + j + k)
-    return found
-
-
-def _weighted(nodes: Array, weights: Array) -> Array:
-    """Weighted sums over the last axis of nodes ``(..., 4, n)``, shape ``(..., n)``."""
-    return np.asarray(np.einsum("...kn,kn->...n", nodes, weights))
-
-
-def _weights(u: Array) -> Array:
-    """Weights of the four nodes, their slopes and bends, at places u in a cell, ``(3, 4, ...)``."""
-    a = 1.0 - u
-    return np.array(
-        [
-            [
-                a**3 / 6.0,
-                (4.0 - 6.0 * u**2 + 3.0 * u**3) / 6.0,
-                (4.0 - 6.0 * a**2 + 3.0 * a**3) / 6.0,
-                u**3 / 6.0,
-            ],
-            [
-                -(a**2) / 2.0,
-                (3.0 * u**2 - 4.0 * u) / 2.0,
-                (4.0 * a - 3.0 * a**2) / 2.0,
-                u**2 / 2.0,
-            ],
-            [a, 3.0 * u - 2.0, 1.0 - 3.0 * u, u],
-        ]
-    )
+    at = np.ascontiguousarray((places - field.origin) / field.spacing)
+    found = np.empty((len(at), 10))
+    expand_at(at, field.coefficients.reshape(-1), field.coefficients.shape, found)
+    return found / field.spacing ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
 def contact_motion_columns(sums: Array, flexion: Array, poses: Array) -> Array:

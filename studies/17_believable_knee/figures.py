@@ -1,7 +1,7 @@
 """Fast part of the study: draws the figures and fills the tables of the page from the record."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,14 @@ from scores import difference, rms, scores, within
 
 import identknee as ik
 from identknee.model.effects.facts import cause_label
+from identknee.subject.plausibility import default_limits
 
 NAMES = {"s192803": "four lines", "s192803_bundles": "14 bundles"}
 LINES = "s192803"
 PLAIN, LIMITS, BONE = "plain", "limits", "limits, on the bone"
 ERROR, BOTH = "error of the model", "limits and error of the model"
 WITH_MENISCI, MENISCI = "limits, menisci", "menisci"
+UNKNOWN, WITH_UNKNOWN = "structures unknown", "limits, structures unknown"
 SHORT = {
     PLAIN: "plain",
     LIMITS: "limits",
@@ -28,8 +30,10 @@ SHORT = {
     ERROR: "error",
     BOTH: "limits, error",
     WITH_MENISCI: WITH_MENISCI,
+    UNKNOWN: "structures",
+    WITH_UNKNOWN: "limits, structures",
 }
-COMPARED = (PLAIN, LIMITS, WITH_MENISCI, BOTH)
+COMPARED = (PLAIN, LIMITS, WITH_MENISCI, BOTH, UNKNOWN, WITH_UNKNOWN)
 JUDGED = ("anterior_drawer_mm", "varus_deg", "internal_deg")
 COORDINATES = ik.laxity.COORDINATES
 CAPSULE = "capsule"
@@ -56,6 +60,7 @@ def tables(record: Row) -> Mapping[str, ik.report.Table | str]:
     """What stands at each mark of the page."""
     return {
         "fits": fits_table(record),
+        "unknown": unknown_table(record),
         "limits": limits_table(record),
         "structures": structures_table(record),
         "held out": held_out_table(record),
@@ -72,18 +77,33 @@ def of(record: Row, knee: str, part: str, **wanted: str) -> Row:
     return next(x for x in rows if all(x[k] == value for k, value in wanted.items()))
 
 
+def fits_of(part: Row) -> list[Row]:
+    """Rows of all ways to fit a knee."""
+    return [*part["fits"], *part["structures_unknown"]]
+
+
 def splits(part: Row) -> list[Row]:
     """Rows of all trials held out."""
-    return [*part["held_out"], *part["held_out_at_0_deg"]]
+    return [
+        *part["held_out"],
+        *part["held_out_at_0_deg"],
+        *part["held_out_with_structures_unknown"],
+    ]
+
+
+def profiles(record: Row) -> list[Row]:
+    """Rows of all profiles of the four lines."""
+    part = record["knees"][LINES]
+    return [*part["profiles"], *part["profiles_with_structures_unknown"]]
 
 
 def predictions(record: Row, knee: str) -> Iterator[tuple[str, Row]]:
     """What was predicted, a split or the other device, and each row that has its values."""
     for x in splits(record["knees"][knee]):
         yield x["split"], x
-    for part in ("fits", "second_device"):
-        for x in record["knees"][knee][part]:
-            yield DEVICE, {**x, "values": x["second_device"], "degrees_of_freedom": None}
+    part = record["knees"][knee]
+    for x in [*fits_of(part), *part["second_device"]]:
+        yield DEVICE, {**x, "values": x["second_device"], "degrees_of_freedom": None}
 
 
 def square(row: Row) -> float:
@@ -127,7 +147,7 @@ def fits_table(record: Row) -> ik.report.Table:
     """Each way to fit the knee."""
     rows: list[tuple[Cell, ...]] = []
     for knee, part in record["knees"].items():
-        for x in part["fits"]:
+        for x in fits_of(part):
             medial, lateral = x["mean_contact_N"]
             rows.append(
                 (
@@ -151,6 +171,39 @@ def fits_table(record: Row) -> ik.report.Table:
         "findings of an implausible fit | 0",
         rows,
     )
+
+
+def unknown_table(record: Row) -> ik.report.Table:
+    """What structures that are nuisances became, without and with limits."""
+    fits = record["knees"][LINES]["structures_unknown"]
+    limited = of(record, LINES, "structures_unknown", variant=WITH_UNKNOWN)
+    strengths = {x.name: x.size for x in default_limits([])}
+    rows: list[tuple[Cell, ...]] = [
+        (
+            cause_label(name),
+            *(
+                cell
+                for x in fits
+                for cell in (
+                    _stiffness(x["theta"], name),
+                    max(v or 0.0 for v in x["added_N"][name]),
+                )
+            ),
+            strengths.get(f"{name}.tension_N"),
+        )
+        for name in limited["added_N"]
+    ]
+    return table(
+        "Structures that four lines lack, as nuisance parameters",
+        "structure; stiffness [kN] | 1; largest force [N] | 0; stiffness with limits [kN] | 1; "
+        "largest force with limits [N] | 0; mean strength [N] | 0",
+        rows,
+    )
+
+
+def _stiffness(theta: Mapping[str, float], name: str) -> float:
+    """Stiffness of a structure, of all its lines together."""
+    return sum(x for key, x in theta.items() if key.startswith(name) and key.endswith("_kN"))
 
 
 def limits_table(record: Row) -> ik.report.Table:
@@ -306,7 +359,7 @@ def device_table(record: Row) -> ik.report.Table:
 
 def ends_table(record: Row) -> ik.report.Table:
     """Interval of each parameter and what makes its ends."""
-    part = {x["variant"]: x for x in record["knees"][LINES]["profiles"]}
+    part = {x["variant"]: x for x in profiles(record)}
     names = list(next(iter(part.values()))["parameters"])
     rows = [
         (parameter_label(x), *(ends_words(y["parameters"][x]) for y in part.values()))
@@ -382,10 +435,11 @@ def forces_figure(record: Row) -> Figure:
     panels = figure.subplots(len(NAMES), 2, width_ratios=[3.0, 2.0])
     for (left, right), (knee, part) in zip(panels, record["knees"].items(), strict=True):
         menisci = next(x for x in part["structures"] if x["structure"] == "meniscus")
-        fits = [*part["fits"], {**menisci, "variant": WITH_MENISCI}]
-        names = list(fits[0]["forces_N"])
-        for k, x in enumerate(fits):
-            found = largest(x)
+        made = {x["variant"]: x for x in fits_of(part)} | {WITH_MENISCI: menisci}
+        fits = {x: made[x] for x in COMPARED if x in made}
+        names = list(made[PLAIN]["forces_N"])
+        for variant, x in fits.items():
+            found, k = largest(x), COMPARED.index(variant)
             share = [found[name] / x["strengths_N"][name][0] for name in names]
             left.plot(
                 share,
@@ -393,7 +447,7 @@ def forces_figure(record: Row) -> Figure:
                 linestyle="none",
                 marker=ik.report.MARKERS[k],
                 color=ik.report.COLOURS[k],
-                label=SHORT[x["variant"]],
+                label=SHORT[variant],
             )
         left.axvline(1.0, color=ik.report.GREY, linewidth=1.0)
         left.set_yticks(range(len(names)), names)
@@ -409,13 +463,14 @@ def forces_figure(record: Row) -> Figure:
     return figure
 
 
-def _contact_bars(axes: Axes, fits: Sequence[Row]) -> None:
+def _contact_bars(axes: Axes, fits: Mapping[str, Row]) -> None:
     places = np.arange(len(fits))
-    medial, lateral = np.array([x["mean_contact_N"] for x in fits]).T
-    axes.barh(places, -medial, color=[ik.report.COLOURS[k] for k in places])
-    axes.barh(places, lateral, color=[ik.report.COLOURS[k] for k in places])
+    colours = [ik.report.COLOURS[COMPARED.index(x)] for x in fits]
+    medial, lateral = np.array([x["mean_contact_N"] for x in fits.values()]).T
+    axes.barh(places, -medial, color=colours)
+    axes.barh(places, lateral, color=colours)
     axes.axvline(0.0, color=ik.report.BLACK, linewidth=0.8)
-    axes.set_yticks(places, [SHORT[x["variant"]] for x in fits])
+    axes.set_yticks(places, [SHORT[x] for x in fits])
     axes.invert_yaxis()
     reach = 1.05 * max(medial.max(), lateral.max())
     axes.set_xlim(-reach, 0.6 * reach)
@@ -463,7 +518,7 @@ def held_out_figure(record: Row) -> Figure:
             for knee, what, x in found
             if x["variant"] == variant
         ]
-        places = [place + 0.16 * (k - 1.5) for place, _, _ in own]
+        places = [place + 0.12 * (k - 2.5) for place, _, _ in own]
         shares = [100.0 * within(values, degrees) for _, values, degrees in own]
         means = [np.mean(list(scores(values, degrees).values())) for _, values, degrees in own]
         for axes, x in ((left, shares), (right, means)):
@@ -482,14 +537,14 @@ def held_out_figure(record: Row) -> Figure:
     right.set_xlabel("interval score [noise]; low is good")
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
 def ends_figure(record: Row) -> Figure:
     """Profile intervals of the four lines; an open end is an arrow."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    part = record["knees"][LINES]["profiles"]
+    part = profiles(record)
     names = list(part[0]["parameters"])
     kinds = [[x for x in names if x.endswith(end)] for end in ("_kN", "_pct")]
     bounds, middle = ((0.0, 40.0), (-40.0, 40.0)), 0.5 * (len(part) - 1)

@@ -14,7 +14,7 @@ Row = dict[str, Any]
 def entries(record: Row) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Name, recorded value and a function that computes it again: each fit at its parameters."""
     for knee, part in record["knees"].items():
-        parts = ("fits", "structures", "without_limits")
+        parts = ("fits", "structures", "without_limits", "structures_unknown")
         for row in (x for name in parts for x in part[name]):
             variant, structure = row.get("variant", LIMITS), row.get("structure", "")
             task = {"knee": knee, "variant": variant, "structure": structure}
