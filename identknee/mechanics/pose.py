@@ -65,16 +65,38 @@ class Placement:
 
     rotation: Array = entry("``Rz(-flexion) Rx(varus) Ry(internal)``, shape ``(..., 3, 3)``")
     translation: Array = entry("Tibial origin in femoral axes [mm], shape ``(..., 3)``")
-    first: Array = entry(
-        "Derivatives of the rotation by varus and by internal rotation, shape ``(..., 2, 3, 3)``"
+    turns: tuple[Array, Array, Array] = entry(
+        "The rotations by flexion, varus and internal rotation, shape ``(..., 3, 3)`` each"
     )
-    second: Array = entry(
-        "Its second derivatives by varus, varus; varus, internal; internal, internal, shape "
-        "``(..., 3, 3, 3)``"
-    )
-    axes: Array = entry(
-        "Derivatives of the translation by x, y and z, one a row, shape ``(..., 3, 3)``"
-    )
+
+    @property
+    def first(self) -> Array:
+        """Derivatives of the rotation by varus and internal rotation, ``(..., 2, 3, 3)``."""
+        flexed, about_x, about_y = self.turns
+        # A turn about a fixed axis differentiates to the axis' cross product times the turn.
+        by_varus = flexed @ _ABOUT_X @ about_x @ about_y
+        return np.stack([by_varus, flexed @ about_x @ _ABOUT_Y @ about_y], axis=-3)
+
+    @property
+    def second(self) -> Array:
+        """Its second derivatives by varus, varus; varus, internal; internal, internal.
+
+        The shape is ``(..., 3, 3, 3)``.
+        """
+        flexed, about_x, about_y = self.turns
+        return np.stack(
+            [
+                flexed @ _ABOUT_X @ _ABOUT_X @ about_x @ about_y,
+                flexed @ _ABOUT_X @ about_x @ _ABOUT_Y @ about_y,
+                flexed @ about_x @ _ABOUT_Y @ _ABOUT_Y @ about_y,
+            ],
+            axis=-3,
+        )
+
+    @property
+    def axes(self) -> Array:
+        """Derivatives of the translation by x, y and z, one a row, shape ``(..., 3, 3)``."""
+        return np.asarray(np.swapaxes(self.turns[0], -1, -2))
 
     def to_femur(self, points: Array) -> Array:
         """Tibial `points` (k, 3) [mm] in femoral axes, ``(k, 3)`` or ``(n, k, 3)``."""
@@ -120,22 +142,10 @@ def place(flexion: ArrayLike, pose: Array) -> Placement:
     none = np.zeros_like(varus)
     flexed = _turns(flexion, none, none)
     about_x, about_y = _turns(none, varus, none), _turns(none, none, internal)
-    # A turn about a fixed axis differentiates to the axis' cross product times the turn.
-    by_varus = flexed @ _ABOUT_X @ about_x @ about_y
-    by_internal = flexed @ about_x @ _ABOUT_Y @ about_y
     return Placement(
         rotation=flexed @ about_x @ about_y,
         translation=(flexed @ pose[..., 2:, None])[..., 0],
-        first=np.stack([by_varus, by_internal], axis=-3),
-        second=np.stack(
-            [
-                flexed @ _ABOUT_X @ _ABOUT_X @ about_x @ about_y,
-                flexed @ _ABOUT_X @ about_x @ _ABOUT_Y @ about_y,
-                flexed @ about_x @ _ABOUT_Y @ _ABOUT_Y @ about_y,
-            ],
-            axis=-3,
-        ),
-        axes=np.swapaxes(flexed, -1, -2),
+        turns=(flexed, about_x, about_y),
     )
 
 
