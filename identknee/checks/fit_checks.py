@@ -410,7 +410,8 @@ def start_findings(thetas: Array, deviances: Array, parameters: Parameters) -> t
         apart = [two_values_words(parameters.names[i], theta[i], other[i]) for i in most]
         sentence = (
             f"Starts disagree: {rivals.size} of {k} ended at other parameters that also fit at "
-            f"the 95 % level ({listed(apart)}; misfit higher by {rise:.2g}). See: identknee profile"
+            f"the 95 % level ({listed(apart)}; misfit higher by {rise:.2g}). "
+            "A profile interval spans both."
         )
         values = {"n_starts": k, "n_apart": rivals.size, "rise": rise, "parameters": names}
         return (finding("starts-disagree", "starts", values, sentence=sentence),)

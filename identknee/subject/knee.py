@@ -281,6 +281,11 @@ def _checked(name: str, value: object) -> float:
     unit = unit_of(name)
     most = LARGEST[unit]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= most:
+        if name == "structures":
+            raise ValueError(
+                f"the uncertainty {name} must be a share of the usual scale, 0 to 1 or 0 to 100 %, "
+                f"got {value!r}; write {name}=50%, in subject.toml {name} = 0.5"
+            )
         raise ValueError(
             f"the uncertainty {name} must be a standard deviation of 0 to {amount(most, unit)}, "
             f"got {value!r}"

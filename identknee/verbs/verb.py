@@ -35,7 +35,7 @@ from identknee.runs.store import Store, finish_work, open_work
 from identknee.subject.check import geometry_warnings
 from identknee.subject.examples import named_subject
 from identknee.subject.folder import FILE, read_subject
-from identknee.subject.knee import EXACTLY, Knee, with_stated_uncertainty
+from identknee.subject.knee import EXACTLY, Knee, UncertainLike, with_stated_uncertainty
 from identknee.subject.plausibility import Limit
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, question
@@ -506,8 +506,11 @@ def _run(
     knee = subject if isinstance(subject, Knee) else read_subject(subject)
     if (stated := arguments.get("uncertain")) is not None:
         knee = knee.with_uncertainty(with_stated_uncertainty(knee.uncertainty, stated))
-    if arguments.get("discrepancy") == STRUCTURES and not knee.uncertainty.structures:
-        knee = knee.with_uncertainty(replace(knee.uncertainty, structures=1.0))
+    if arguments.get("discrepancy") == STRUCTURES:
+        arguments = {**arguments, "discrepancy": "none"}
+        if not knee.uncertainty.structures:
+            arguments["uncertain"] = _with_structures(stated)
+            knee = knee.with_uncertainty(replace(knee.uncertainty, structures=1.0))
     knee = knee.with_plausibility(arguments.get("plausible"))
     asked = None
     if "leave_out" in arguments:
@@ -538,6 +541,17 @@ def _run(
             _stack=stack,
         )
         yield run, read, recording
+
+
+def _with_structures(stated: UncertainLike) -> UncertainLike:
+    """What is stated as uncertain, and the structures that ``discrepancy="structures"`` means.
+
+    Records say it so, since all verbs take it.
+    """
+    if isinstance(stated, Mapping):
+        return {**stated, STRUCTURES: 1.0}
+    texts = [stated] if isinstance(stated, str) else list(stated or ())
+    return ",".join([*texts, f"{STRUCTURES}=100%"])
 
 
 def _subject_warnings(arguments: Mapping[str, Any], read: Mapping[str, Any]) -> tuple[Finding, ...]:

@@ -85,8 +85,8 @@ class SamplePresenter(Presenter[Sample]):
         if answer.last_check is None:
             yield self.say(_is_reliable(answer))
             return
-        marginals = answer.parameters
-        names = [x for x in marginals if x.endswith(STIFFNESS)] or list(marginals)
+        marginals, own = answer.parameters, answer.space.names_of_interest
+        names = [x for x in own if x.endswith(STIFFNESS)] or list(own)
         parts = []
         for name in names[:MOST_NAMED]:
             unit = "kN" if name.endswith("_kN") else "%" if name.endswith("_pct") else ""
@@ -105,6 +105,7 @@ class SamplePresenter(Presenter[Sample]):
                     (label(name), x.mean, x.sd, x.q025, x.q975, x.rhat, x.ess_bulk)
                     for name, x in answer.parameters.items()
                 ),
+                most=len(own),
             ),
         )
         check = answer.last_check
@@ -153,13 +154,12 @@ class SamplePresenter(Presenter[Sample]):
 
         if answer.draws is None:
             return
-        names, draws = answer.space.names, _thinned(answer.draws.theta)
+        names, own = answer.space.names_of_interest, answer.space.is_of_interest
+        draws, prior = (_thinned(x.theta)[:, own] for x in (answer.draws, answer.prior))
         names_listed = listed(map(label, names))
         yield Drawing(
             name="prior-posterior",
-            figure=prior_posterior_figure(
-                names, _thinned(answer.prior.theta), {"posterior": draws}
-            ),
+            figure=prior_posterior_figure(names, prior, {"posterior": draws}),
             caption="Prior (grey) and posterior of each parameter.",
             description=f"Densities of {names_listed} before and after the data.",
         )

@@ -19,6 +19,7 @@ from identknee.runs.declare import Array
 from identknee.subject.capsule import with_capsule
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Uncertainty
+from identknee.verbs.fitted_knee import with_stated_uncertainty_of
 from identknee.verbs.identification import identification
 from identknee.verbs.verb import knee_digest
 
@@ -104,6 +105,10 @@ def test_one_option_of_verbs_states_them(reference: Knee) -> None:
     assert asked is not None
     assert asked.discrepancy is None
     assert asked.uncertainty["structures"] == "100 %"
+    # Its record says it as all verbs take it, so that the knee can be made again from it.
+    assert found.record is not None
+    assert found.record.settings["uncertain"] == "structures=100%"
+    assert with_stated_uncertainty_of(reference, found).uncertainty == STATED
 
 
 @pytest.mark.parametrize("size", [-0.1, 1.5])
