@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -19,18 +19,19 @@ from identknee.laxity.table import TrialsLike, read_tests
 from identknee.mechanics.closest_point import mesh_distance
 from identknee.mechanics.distance_field import ContactLaw
 from identknee.mechanics.ligament_tensions import ligament_tensions, line_courses, line_lengths
-from identknee.mechanics.pose import Placement, place
+from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
 from identknee.report.page.results import Result, found_results
-from identknee.report.presenter import Range, of_type, presenter_of, settings_of
+from identknee.report.presenter import Range, presenter_of, settings_of
 from identknee.report.scene import distance_from_femur
-from identknee.runs.declare import Array, IntArray, declared, entry
+from identknee.runs.declare import Array, IntArray
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
-from identknee.subject.folder import read_subject, write_subject
+from identknee.subject.folder import write_subject
 from identknee.subject.knee import Knee
 from identknee.subject.opensim_export import file_name, write_opensim
+from identknee.verbs.answer import Answer
 from identknee.verbs.fit import Calibration
 from identknee.verbs.fitted_knee import (
     fitted_knee,
@@ -38,17 +39,10 @@ from identknee.verbs.fitted_knee import (
     knee_as_fitted,
     with_stated_uncertainty_of,
 )
-from identknee.verbs.options import GivenSubject, Out, documented
+from identknee.verbs.options import Out, Subject, option, trials_option
 from identknee.verbs.registry import verb_named
-from identknee.verbs.subject import (
-    ExportFitted,
-    ExportOsim,
-    ExportSource,
-    ExportTrials,
-    ExportVtk,
-    SubjectFacts,
-    exported_subject,
-)
+from identknee.verbs.subject import SubjectFacts, subject_facts_of
+from identknee.verbs.verb import Run, recorded_as, verb
 
 TYPES: dict[str, np.dtype[Any]] = {
     "Float32": np.dtype("<f4"),
@@ -158,85 +152,69 @@ def write_poses(model: LaxityModel, theta: Array, folder: Path) -> Path:
     InputError
         If the folder cannot be written to.
     """
+    knee, setting = model.knee, model.setting(theta)
     prediction = model.predict(theta, derivatives=False)
-    poses = _Poses(model, theta, prediction.poses)
+    contact, field = model.surfaces(setting)
+    law, lines = contact.law or ContactLaw(), setting.measured_lines
+    flexion = setting.flexion[model.paths.trial_node]
+    found = ligament_tensions(
+        lines, flexion, prediction.poses, setting.stiffness, setting.reference_strain
+    )
+    slack = np.asarray(lines.reference_length) / (1.0 + setting.reference_strain)
+    femur = setting.as_measured_points(knee.femur_frame.to_local(knee.femur.vertices), 0)
+    tibia = [
+        setting.as_measured_points(knee.tibia_frame.to_local(x.vertices), 1) for x in knee.tibia
+    ]
+    to_plateaus = [mesh_distance(own, x.faces) for own, x in zip(tibia, knee.tibia, strict=True)]
+    surfaces, own_lines = (knee.femur, *knee.tibia), [x.name for x in knee.ligaments]
+    # The scan of a left knee is seen in a mirror, which turns its triangles round.
+    order = slice(None, None, -1 if knee.side == "left" else 1)
     target, names = prepare_folder(folder), []
-    for i in np.flatnonzero(prediction.is_converged):
-        name = file_name(f"{i + 1:03d}_{model.protocol.trials[i]}", ".vtp")
-        write_atomically(target / name, poses.file(int(i)))
-        names.append(name)
-    return write_atomically(target / COLLECTION, collection(names))
-
-
-class _Poses:
-    """What all trials of a model share, and the file of each."""
-
-    def __init__(self, model: LaxityModel, theta: Array, poses: Array) -> None:
-        self._model, self._poses = model, poses
-        knee, setting = model.knee, model.setting(theta)
-        contact, self._field = model.surfaces(setting)
-        self._law = contact.law or ContactLaw()
-        self._flexion = setting.flexion[model.paths.trial_node]
-        self._lines = setting.measured_lines
-        femur = knee.femur_frame.to_local(knee.femur.vertices)
-        self._femur = setting.as_measured_points(femur, 0)
-        tibia = [knee.tibia_frame.to_local(x.vertices) for x in knee.tibia]
-        self._tibia = [setting.as_measured_points(x, 1) for x in tibia]
-        self._to_sheets = [
-            mesh_distance(own, x.faces) for own, x in zip(self._tibia, knee.tibia, strict=True)
-        ]
-        self._stiffness, self._strain = setting.stiffness, setting.reference_strain
-
-    def file(self, trial: int) -> bytes:
-        """Content of the file of a trial."""
-        knee = self._model.knee
-        placement = place(float(self._flexion[trial]), self._poses[trial])
-        lines = line_courses(self._lines, placement)
-        n, corners = len(lines), np.cumsum([0, *(len(x) for x in lines)])
-        sheets = [self._femur, *(placement.to_femur(x) for x in self._tibia)]
+    for i in np.flatnonzero(prediction.is_converged).tolist():
+        placement = place(float(flexion[i]), prediction.poses[i])
+        courses = line_courses(lines, placement)
+        n, corners = len(courses), np.cumsum([0, *(len(x) for x in courses)])
+        sheets = [femur, *(placement.to_femur(x) for x in tibia)]
         starts = np.cumsum([corners[-1], *(len(x) for x in sheets)])
-        surfaces = (knee.femur, *knee.tibia)
-        # The scan of a left knee is seen in a mirror, which turns its triangles round.
-        order = slice(None, None, -1 if knee.side == "left" else 1)
-        triangles = [x.faces[:, order] + i for x, i in zip(surfaces, starts[:-1], strict=True)]
-        gaps = np.concatenate(self._contact_gaps(placement))
-        places = np.concatenate([*lines, *sheets])
-        pressure = self._law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
-        numbers = [np.full(len(x.faces), i) for i, x in enumerate(surfaces)]
+        middles = [y[x.faces].mean(axis=1) for x, y in zip(surfaces, sheets, strict=True)]
+        femoral = placement.to_tibia(middles[0])
+        gaps = np.concatenate(
+            [
+                np.min([distance(femoral) for distance in to_plateaus], axis=0),
+                *(distance_from_femur(field, x) for x in middles[1:]),
+            ]
+        )
+        pressure = law.pressure(np.nan_to_num(-gaps, nan=-np.inf))[0]
+        numbers = [np.full(len(x.faces), k) for k, x in enumerate(surfaces)]
         empty, none = np.full(n, np.nan), np.full(len(gaps), np.nan)
-        pose, flexion = self._poses[trial : trial + 1], self._flexion[trial : trial + 1]
-        found = ligament_tensions(self._lines, flexion, pose, self._stiffness, self._strain)
-        length = line_lengths(self._lines, float(flexion[0]), pose[0])
-        slack = np.asarray(self._lines.reference_length) / (1.0 + self._strain)
-        tension, strain = found.tensions[0], 100.0 * (length / slack - 1.0)
-        own = [x.name for x in self._model.knee.ligaments]
-        return polydata(
-            knee.in_scan_frame(knee.femur_frame.to_common(self._field.to_field(places))),
+        strain = 100.0 * (line_lengths(lines, float(flexion[i]), prediction.poses[i]) / slack - 1.0)
+        places = field.to_field(np.concatenate([*courses, *sheets]))
+        content = polydata(
+            knee.in_scan_frame(knee.femur_frame.to_common(places)),
             [np.arange(*x) for x in pairwise(corners.tolist())],
-            np.concatenate(triangles),
+            np.concatenate(
+                [x.faces[:, order] + k for x, k in zip(surfaces, starts[:-1], strict=True)]
+            ),
             {
                 "part": np.concatenate([len(BONES) + np.arange(n), *numbers]),
                 "gap_mm": np.r_[empty, gaps],
                 "pressure_MPa": np.r_[empty, pressure],
-                "tension_N": np.r_[tension, none],
+                "tension_N": np.r_[found.tensions[i], none],
                 "strain_pct": np.r_[strain, none],
             },
             {
-                "parts": [*BONES, *own, *(f"line {i + 1} of effects" for i in range(n - len(own)))],
-                "trial": [self._model.protocol.trials[trial]],
+                "parts": [
+                    *BONES,
+                    *own_lines,
+                    *(f"line {k + 1} of effects" for k in range(n - len(own_lines))),
+                ],
+                "trial": [model.protocol.trials[i]],
             },
         )
-
-    def _contact_gaps(self, placement: Placement) -> list[Array]:
-        """Distance of the centre of each face from the other bone [mm], by bone."""
-        knee = self._model.knee
-        femoral = placement.to_tibia(self._femur[knee.femur.faces].mean(axis=1))
-        to_tibia = np.min([distance(femoral) for distance in self._to_sheets], axis=0)
-        tibial = [
-            placement.to_femur(own[x.faces].mean(axis=1))
-            for own, x in zip(self._tibia, knee.tibia, strict=True)
-        ]
-        return [to_tibia, *(distance_from_femur(self._field, x) for x in tibial)]
+        name = file_name(f"{i + 1:03d}_{model.protocol.trials[i]}", ".vtp")
+        write_atomically(target / name, content)
+        names.append(name)
+    return write_atomically(target / COLLECTION, collection(names))
 
 
 COLUMNS = (
@@ -270,101 +248,49 @@ def parameter_table(
         prior = f"{np.log(center) if is_log else center};{sd}"
         numbers = (float(x[i]) for x in (parameters.lower, parameters.upper, parameters.start))
         row = [re.sub(r"\W", "_", name), name, "lin", *numbers, int(name not in fixed)]
-        row += ["logNormal" if is_log else "normal", prior, fitted.get(name, ""), *_set_of(found)]
+        row += ["logNormal" if is_log else "normal", prior, fitted.get(name, "")]
+        # The writer leaves None blank.
+        row += [found.low, found.high, found.source.value] if found else [None] * 3
         writer.writerow(row)
     return text.getvalue()
-
-
-def _set_of(found: Range | None) -> tuple[float | str, float | str, str]:
-    """Both ends of a set and the method that gave it."""
-    if found is None:
-        return "", "", ""
-    low, high = ("" if x is None else float(x) for x in (found.low, found.high))
-    return low, high, found.source.value
 
 
 TABLE, POSES = "parameters.tsv", "vtk"
 
 
-@declared
-class Exported:
-    """What was written."""
-
-    knee: Knee = entry("The knee as it was written")
-    folder: Path = entry("Its subject folder")
-    others: tuple[Path, ...] = entry("Files and folders for other tools")
-
-
-def export_knee(
-    knee: Knee,
-    out: PathLike,
-    *,
-    fitted: PathLike | None = None,
-    osim: bool = False,
-    source: PathLike | None = None,
-    vtk: bool = False,
-    protocol: TrialsLike | None = None,
-) -> Exported:
-    """The knee written as a subject folder, and for other tools.
-
-    Parameters
-    ----------
-    knee
-        The subject.
-    out
-        The folder, made if it is not there.
-    fitted
-        A result of `fit`, `profile` or `simulate` of the subject, or a folder with several: the
-        knee is written with the parameters found, the latest fit counting most, and they become a
-        table with the 95 % sets that these results have.
-    osim
-        Whether to write an OpenSim model as well.
-    source
-        The OpenSim model that the knee was imported from, of which a changed copy is written; it
-        stands for `osim` too.
-    vtk
-        Whether to write the knee in every trial, for ParaView and PyVista.
-    protocol
-        The trials of `vtk`; those of the result, else of ``"drawer"``, if None.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be used, or no result is one of this knee with a parameter set.
-    """
-    results = [] if fitted is None else _of_knee(knee, fitted)
-    written = knee if fitted is None else fitted_knee(knee, _latest(results).answer)
-    folder = write_subject(written, out)
-    others = []
-    if results:
-        latest = _latest(results)
-        answer = latest.answer
-        stated = with_stated_uncertainty_of(knee, answer)
-        parameters = LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters
-        settings = settings_of(answer)
-        table = parameter_table(
-            parameters,
-            fitted_values(answer),
-            ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
-            fixed=settings.get("fixed") or (),
-        )
-        others.append(write_atomically(folder / TABLE, table))
-    if osim or source is not None:
-        others.append(write_opensim(knee_as_fitted(written), folder, source=source))
-    if vtk:
-        others.append(_write_trials(written, results, protocol, folder))
-    return Exported(knee=written, folder=folder, others=tuple(others))
-
-
-@documented
+@verb
+@recorded_as("subject export")
 def export_subject(
-    subject: GivenSubject,
+    _run: Run,
+    subject: Subject,
     *,
-    fitted: ExportFitted = None,
-    osim: ExportOsim = False,
-    source: ExportSource = None,
-    vtk: ExportVtk = False,
-    protocol: ExportTrials = None,
+    fitted: Annotated[
+        PathLike | None,
+        option(
+            "A result of fit, profile or simulate for {SUBJECT}, whose parameters the knee gets, "
+            "or a folder with several results.",
+            in_python="The latest fit counts most.",
+            metavar="DIR",
+            typed=Path | None,
+        ),
+    ] = None,
+    osim: Annotated[bool, option("Also write an OpenSim 4 model.")] = False,
+    source: Annotated[
+        PathLike | None,
+        option(
+            "The OpenSim model that {SUBJECT} was imported from: write a copy of it with the "
+            "knee's ligaments. Give lenhart2015 for the one that comes with identknee.",
+            metavar="FILE.osim",
+            typed=str | None,
+        ),
+    ] = None,
+    vtk: Annotated[
+        bool, option("Also write the knee in every trial, for ParaView and PyVista.")
+    ] = False,
+    protocol: Annotated[
+        TrialsLike | None,
+        trials_option("The trials of {--vtk}: {}. If not given: those of the result, or drawer."),
+    ] = None,
     out: Out,
 ) -> SubjectFacts:
     """What was written of a subject as a subject folder, and for other tools.
@@ -374,23 +300,33 @@ def export_subject(
     model that the knee was imported from; the rest of that model is unchanged. With {--osim} alone
     the model holds two bones, their cartilage and the ligaments. With {--vtk} the knee is written
     in every trial, with gap and pressure on each face and the force of each ligament.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be used, or no result is one of this knee with a parameter set.
     """
     if out is None:
         raise ValueError("there is no folder to write to; give one with --out")
-    knee = subject if isinstance(subject, Knee) else read_subject(subject)
-    made = export_knee(
-        knee, out, fitted=fitted, osim=osim, source=source, vtk=vtk, protocol=protocol
-    )
-    return exported_subject(
-        made.knee,
-        fitted=fitted,
-        osim=osim,
-        source=source,
-        vtk=vtk,
-        protocol=protocol,
-        written=made.others,
-        out=out,
-    )
+    results = [] if fitted is None else _of_knee(subject, fitted)
+    latest = _latest(results) if fitted is not None else None
+    knee = subject if latest is None else fitted_knee(subject, latest.answer)
+    folder, others = write_subject(knee, out), list[Path]()
+    if latest is not None:
+        stated = with_stated_uncertainty_of(subject, latest.answer)
+        table = parameter_table(
+            LaxityModel(knee=stated, protocol=load_protocol("drawer")).parameters,
+            fitted_values(latest.answer),
+            ranges_of([x.answer for x in results if x.data_digest == latest.data_digest]),
+            fixed=settings_of(latest.answer).get("fixed") or (),
+        )
+        others.append(write_atomically(folder / TABLE, table))
+    if osim or source is not None:
+        others.append(write_opensim(knee_as_fitted(knee), folder, source=source))
+    if vtk:
+        answer = None if latest is None else latest.answer
+        others.append(_write_trials(knee, answer, protocol, folder))
+    return SubjectFacts(**subject_facts_of(knee), written=tuple(map(str, others)))
 
 
 def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:
@@ -410,25 +346,22 @@ def _of_knee(knee: Knee, folder: PathLike) -> list[Result]:
 
 def _latest(results: list[Result]) -> Result:
     """The result whose parameter set counts; without one the last is refused by who asks it."""
-    return max(results, key=lambda x: (_rank(x), str(x.record["started"])))
 
+    def order(result: Result) -> tuple[int, str]:
+        known = verb_named(result.verb)
+        return 0 if known is None else known.parameter_rank, str(result.record["started"])
 
-def _rank(result: Result) -> int:
-    """How much the parameter set of the result counts."""
-    verb = verb_named(result.verb)
-    return 0 if verb is None else verb.parameter_rank
+    return max(results, key=order)
 
 
 def _write_trials(
-    knee: Knee, results: list[Result], protocol: TrialsLike | None, folder: Path
+    knee: Knee, answer: Answer | None, protocol: TrialsLike | None, folder: Path
 ) -> Path:
-    answer = _latest(results).answer if results else None
     if protocol is None and answer is not None:
         protocol = presenter_of(answer).protocol(answer)
     tests = read_tests("drawer" if protocol is None else protocol)
     model = model_for_tests(knee, tests)
-    for fit in of_type([answer] if answer is not None else [], Calibration):
-        if tests is fit.protocol:
-            # The search of a measured trial begins at its measured pose.
-            model = model.with_tests(fit.data)
+    if isinstance(answer, Calibration) and tests is answer.protocol:
+        # The search of a measured trial begins at its measured pose.
+        model = model.with_tests(answer.data)
     return write_poses(model, model.parameters.start, folder / POSES)

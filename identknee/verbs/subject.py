@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from identknee.checks.subject_checks import StabilityReport, check_stability
 from identknee.laxity.named_tables import TABLES
-from identknee.laxity.table import TrialsLike, example_laxity, read_tests
+from identknee.laxity.table import example_laxity, read_tests
 from identknee.model.insertion_moves import WITHIN, MovedInsertion, settle
 from identknee.model.laxity_model import model_for_tests
 from identknee.runs.declare import Array, array, declared, derived, entry
@@ -23,45 +23,10 @@ from identknee.subject.knee import Knee, Side
 from identknee.subject.opensim import NotTaken, imported_knee, left_out_of
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.options import argument, documented, option, trials_option
+from identknee.verbs.options import argument, documented, option
 from identknee.verbs.verb import Run, recorded_as, verb, warm_up
 
 Bundles = Literal["separate", "merged"]
-ExportFitted = Annotated[
-    PathLike | None,
-    option(
-        "A result of fit, profile or simulate for {SUBJECT}, whose parameters the knee gets, or a "
-        "folder with several results.",
-        in_python="The latest fit counts most.",
-        metavar="DIR",
-        typed=Path | None,
-    ),
-]
-ExportOsim = Annotated[bool, option("Also write an OpenSim 4 model.")]
-ExportSource = Annotated[
-    PathLike | None,
-    option(
-        "The OpenSim model that {SUBJECT} was imported from: write a copy of it with the knee's "
-        "ligaments. Give lenhart2015 for the one that comes with identknee.",
-        metavar="FILE.osim",
-        typed=str | None,
-    ),
-]
-ExportVtk = Annotated[bool, option("Also write the knee in every trial, for ParaView and PyVista.")]
-ExportTrials = Annotated[
-    TrialsLike | None,
-    trials_option("The trials of {--vtk}: {}. If not given: those of the result, or drawer."),
-]
-
-
-class ExportOptions(options.OutOption, total=False):
-    """What an export was asked for, which the record of the call keeps."""
-
-    fitted: ExportFitted
-    osim: ExportOsim
-    source: ExportSource
-    vtk: ExportVtk
-    protocol: ExportTrials
 
 
 class ImportOptions(options.OutOption, total=False):
@@ -142,19 +107,6 @@ def describe_subject(
 ) -> SubjectFacts:
     """What a subject is made of."""
     return SubjectFacts(**subject_facts_of(subject))
-
-
-@verb
-@recorded_as("subject export", secret=("written",))
-def exported_subject(
-    _run: Run,
-    subject: options.Subject,
-    *,
-    written: Annotated[Sequence[PathLike], option("Files for other tools.", is_typed=False)] = (),
-    **_: Unpack[ExportOptions],
-) -> SubjectFacts:
-    """What a subject is made of that was written to a folder, and the files for other tools."""
-    return SubjectFacts(**subject_facts_of(subject), written=tuple(map(str, written)))
 
 
 @documented

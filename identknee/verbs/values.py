@@ -92,12 +92,19 @@ def values_of(values: ValuesLike) -> dict[str, float]:
     Raises
     ------
     ValueError
-        If a text has another form, or a stiffness is so large that its unit must be N.
+        If a text has another form, a name comes twice, or a stiffness is so large that its unit
+        must be N.
+
+    Examples
+    --------
+    >>> values_of(["ACL.stiffness_kN=9.5"])
+    {'ACL.stiffness_kN': 9.5}
     """
     if isinstance(values, Mapping):
         found = {name: float(value) for name, value in values.items()}
     else:
-        found = named_values(values or [], "--set")
+        stated = _by_name(values or [], "--set", "ACL.stiffness_kN=9.5")
+        found = {name: _number(value, f"--set {text}") for name, (value, text) in stated.items()}
     for name, value in found.items():
         if name.endswith(STIFFNESS) and value > LARGEST_STIFFNESS_KN:
             raise ValueError(
@@ -123,10 +130,30 @@ def by_ligament(values: Mapping[str, float]) -> dict[str, dict[str, float]]:
 
 
 def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
-    """Lower and upper bound by parameter name, however they were given."""
+    """Lower and upper bound by parameter name, however they were given.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form or a name comes twice.
+
+    Examples
+    --------
+    >>> bounds_of(["ACL.stiffness_kN=5:15"])
+    {'ACL.stiffness_kN': (5.0, 15.0)}
+    """
     if isinstance(bounds, Mapping):
         return {name: _pair(name, given) for name, given in bounds.items()}
-    return named_bounds(bounds or [], "--bounds")
+    found = {}
+    for name, (value, text) in _by_name(bounds or [], "--bounds", "ACL.stiffness_kN=5:15").items():
+        where, (low, colon, high) = f"--bounds {text}", value.partition(":")
+        if not colon:
+            raise ValueError(
+                f"{where}: there is no upper bound. "
+                f"Write LOWER:UPPER, for example --bounds {name}=5:15"
+            )
+        found[name] = (_number(low, where), _number(high, where))
+    return found
 
 
 def _pair(name: str, given: object) -> tuple[float, float]:
@@ -152,49 +179,6 @@ def check_word(option: str, word: str, words: Sequence[str]) -> None:
     """
     if word not in words:
         raise ValueError(f"{option} {word}: it is none of {', '.join(words)}")
-
-
-def named_values(texts: Sequence[str], option: str) -> dict[str, float]:
-    """Values by parameter name from texts such as ``ACL.stiffness_kN=9.5``.
-
-    Raises
-    ------
-    ValueError
-        If a text has another form or a name comes twice.
-
-    Examples
-    --------
-    >>> named_values(["ACL.stiffness_kN=9.5"], "--set")
-    {'ACL.stiffness_kN': 9.5}
-    """
-    stated = _by_name(texts, option, "ACL.stiffness_kN=9.5")
-    return {name: _number(value, f"{option} {text}") for name, (value, text) in stated.items()}
-
-
-def named_bounds(texts: Sequence[str], option: str) -> dict[str, tuple[float, float]]:
-    """Lower and upper bound by parameter name from texts such as ``ACL.stiffness_kN=5:15``.
-
-    Raises
-    ------
-    ValueError
-        If a text has another form or a name comes twice.
-
-    Examples
-    --------
-    >>> named_bounds(["ACL.stiffness_kN=5:15"], "--bounds")
-    {'ACL.stiffness_kN': (5.0, 15.0)}
-    """
-    bounds: dict[str, tuple[float, float]] = {}
-    for name, (value, text) in _by_name(texts, option, "ACL.stiffness_kN=5:15").items():
-        low, colon, high = value.partition(":")
-        if not colon:
-            raise ValueError(
-                f"{option} {text}: there is no upper bound. "
-                f"Write LOWER:UPPER, for example {option} {name}=5:15"
-            )
-        where = f"{option} {text}"
-        bounds[name] = (_number(low, where), _number(high, where))
-    return bounds
 
 
 def _by_name(texts: Sequence[str], option: str, example: str) -> dict[str, tuple[str, str]]:

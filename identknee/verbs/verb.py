@@ -200,7 +200,7 @@ def _check_place(arguments: Mapping[str, Any], data: Any) -> None:
         raise ValueRefused(f"{_shown(data)} is a subject where the laxity table belongs", ORDER)
     if _is_protocol(data):
         raise ValueRefused(
-            f"{_protocol_name(data)} is a protocol where the laxity table belongs",
+            f"{_shown(data)} is a protocol where the laxity table belongs",
             "give measured laxity"
             + (", or name it as the protocol" if PROTOCOL in arguments else ""),
         )
@@ -224,10 +224,6 @@ def _is_protocol(given: Any) -> bool:
     return isinstance(given, Protocol)
 
 
-def _protocol_name(given: Any) -> str:
-    return given.name if isinstance(given, Protocol) else _shown(given)
-
-
 def _is_subject(given: Any) -> bool:
     """Whether this can only be a subject."""
     if not isinstance(given, str | os.PathLike):
@@ -243,6 +239,8 @@ def _is_subject(given: Any) -> bool:
 def _shown(given: Any) -> str:
     if isinstance(given, str | os.PathLike):
         return os.fspath(given)
+    if isinstance(given, Protocol):
+        return given.name
     if is_frame(given):
         return "the DataFrame"
     return f"the {type(given).__name__}"

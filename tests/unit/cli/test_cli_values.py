@@ -3,15 +3,15 @@
 import pytest
 
 from identknee.laxity.noise import noise_sizes
-from identknee.verbs.values import named_bounds, named_values, values_of
+from identknee.verbs.values import bounds_of, values_of
 
 
 def test_values_come_by_name() -> None:
-    assert named_values(["A.x=1", " B.y = -2e1 "], "--set") == {"A.x": 1.0, "B.y": -20.0}
+    assert values_of(["A.x=1", " B.y = -2e1 "]) == {"A.x": 1.0, "B.y": -20.0}
 
 
 def test_bounds_come_by_name() -> None:
-    assert named_bounds(["A.x=-1:2.5"], "--bounds") == {"A.x": (-1.0, 2.5)}
+    assert bounds_of(["A.x=-1:2.5"]) == {"A.x": (-1.0, 2.5)}
 
 
 def test_noise_comes_in_either_order() -> None:
@@ -31,15 +31,15 @@ def test_noise_comes_in_either_order() -> None:
 )
 def test_a_value_that_is_none_is_refused(text: str, sentence: str) -> None:
     with pytest.raises(ValueError, match=f"^--set {text}.*") as caught:
-        named_values([text], "--set")
+        values_of([text])
     assert sentence in str(caught.value)
 
 
 def test_a_name_given_twice_is_refused() -> None:
     with pytest.raises(ValueError, match=r"--set .*A\.x twice"):
-        named_values(["A.x=1", "A.x=2"], "--set")
+        values_of(["A.x=1", "A.x=2"])
     with pytest.raises(ValueError, match=r"--bounds .*A\.x twice"):
-        named_bounds(["A.x=1:2", "A.x=2:3"], "--bounds")
+        bounds_of(["A.x=1:2", "A.x=2:3"])
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_a_name_given_twice_is_refused() -> None:
 )
 def test_a_bound_that_is_none_is_refused(text: str, sentence: str) -> None:
     with pytest.raises(ValueError, match="--bounds") as caught:
-        named_bounds([text], "--bounds")
+        bounds_of([text])
     assert sentence in str(caught.value)
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import identknee as ik
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.export import TYPES, export_knee, write_poses
+from identknee.report.export import TYPES, export_subject, write_poses
 from identknee.subject.knee import Knee
 
 # Of a compartment's force, that of its triangles against that of the contact points.
@@ -102,7 +102,7 @@ def test_results_of_one_folder_become_a_table(tmp_path: Path, knee: Knee) -> Non
     profiles = ik.profile(knee, data, parameters=wanted, fixed=fixed, out=results / "profile")
     # Of another knee, which counts for nothing.
     ik.simulate(ik.reference_knee(3.0), "drawer", out=results / "other")
-    written = export_knee(knee, tmp_path / "out", fitted=results)
+    written = export_subject(knee, out=tmp_path / "out", fitted=results)
     rows = {
         x["parameterName"]: x
         for x in csv.DictReader(
@@ -113,7 +113,8 @@ def test_results_of_one_folder_become_a_table(tmp_path: Path, knee: Knee) -> Non
     assert tuple(rows) == names
     row, profile = rows["ACL.stiffness_kN"], profiles.parameters["ACL.stiffness_kN"]
     found = fit.parameters["ACL"]["stiffness_kN"]
-    assert float(row["fittedValue"]) == found == written.knee.ligament("ACL").stiffness_kN
+    acl = next(x for x in written.ligaments if x.name == "ACL")
+    assert float(row["fittedValue"]) == found == acl.stiffness_kN
     assert (float(row["lower95"]), float(row["upper95"])) == (profile.lower, profile.upper)
     assert row["evidence"] == "profile"
     mean, sd = map(float, row["objectivePriorParameters"].split(";"))
@@ -123,7 +124,7 @@ def test_results_of_one_folder_become_a_table(tmp_path: Path, knee: Knee) -> Non
     assert rows["LCL.stiffness_kN"]["estimate"] == "0"
     assert rows["PCL.stiffness_kN"]["lower95"] == ""
     with pytest.raises(ValueError, match="lenhart2015_stable"):
-        export_knee(ik.example("lenhart2015_stable"), tmp_path / "no", fitted=results)
+        export_subject(ik.example("lenhart2015_stable"), out=tmp_path / "no", fitted=results)
     ik.information(knee, data, out=tmp_path / "information")
     with pytest.raises(ValueError, match="parameter set"):
-        export_knee(knee, tmp_path / "no", fitted=tmp_path / "information")
+        export_subject(knee, out=tmp_path / "no", fitted=tmp_path / "information")
