@@ -16,7 +16,8 @@ from identknee.laxity.protocol import ABSOLUTE, Protocol
 from identknee.laxity.table import COORDINATES
 from identknee.report.methods import given_options, value_words
 from identknee.report.overview import FORCE, ranges_of
-from identknee.report.presenter import Source, of_type, presenter_of, settings_of
+from identknee.report.presenter import Source, of_type, presenter_of
+from identknee.report.results import Result
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_QUANTITY,
@@ -30,7 +31,6 @@ from identknee.runs.words import amount, interval, listed, unit_of
 from identknee.verbs.answer import IN_WORDS, Answer, Question
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
-from identknee.verbs.registry import verbs_with_answer
 from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
 
@@ -179,47 +179,46 @@ class Comparison(Answer):
         return (*self.parameters, *self.forces, *self.predictions)
 
 
-def comparison(given: Mapping[str, Sequence[Answer]]) -> Comparison:
-    """The comparison of answers by the names of their results; each may have several answers."""
-    names = tuple(given)
-    quantities = _quantities(given)
+def comparison(given: Mapping[str, Sequence[Result]]) -> Comparison:
+    """Results side by side, by the name of each; one name may have results of several verbs."""
+    answers = {name: [x.answer for x in own] for name, own in given.items()}
+    quantities = _quantities(answers)
     forces = [x for x in quantities if FORCE in x.name and len(x.stands) > 1]
     predictions = [
         x for x in quantities if "@" in x.name and FORCE not in x.name and len(x.stands) > 1
     ]
-    laxity = [_predicted(own) for own in given.values()]
+    laxity = [_predicted(own) for own in answers.values()]
     rows = [_difference(laxity[0], x) for x in laxity]
-    questions = {
-        name: next((x.question for x in own if x.question is not None), None)
-        for name, own in given.items()
-    }
-    why_not = _why_not(given, questions)
+    questions = [
+        next((x.question for x in own if x.question is not None), None) for own in answers.values()
+    ]
+    why_not = _why_not([own[0].data_digest for own in given.values()], questions)
     return Comparison(
-        names=names,
+        names=tuple(given),
         items=tuple(_compared(name, own) for name, own in given.items()),
         parameters=tuple(x for x in quantities if "@" not in x.name),
         forces=tuple(sorted(forces, key=lambda x: -x.spread)),
         predictions=tuple(sorted(predictions, key=lambda x: -x.spread)),
-        misfits=tuple(_misfit(name, own) for name, own in given.items()),
+        misfits=tuple(_misfit(name, own) for name, own in answers.items()),
         is_misfit_comparable=not why_not,
         why_not=why_not,
-        differences=tuple(_differences(given, questions)),
+        differences=tuple(_differences(list(given.values()), questions)),
         coordinate_names=COORDINATES,
         laxity_difference=np.array([x for x, _ in rows]),
         n_trials_shared=tuple(n for _, n in rows),
-        assumptions=tuple(_assumptions(given)),
+        assumptions=tuple(_assumptions(answers)),
     )
 
 
-def _compared(name: str, answers: Sequence[Answer]) -> Compared:
-    first, found = answers[0], of_type(answers, Diagnosis)
+def _compared(name: str, results: Sequence[Result]) -> Compared:
+    first, found = results[0], of_type([x.answer for x in results], Diagnosis)
     return Compared(
         name=name,
-        subject=_subject(first),
-        subject_digest=_digest(first, "subject"),
-        data=_tables(first),
-        data_digest=_digest(first, "data"),
-        verbs=tuple(dict.fromkeys(map(_verb, answers))),
+        subject=first.subject,
+        subject_digest=first.subject_digest,
+        data=first.tables,
+        data_digest=first.data_digest,
+        verbs=tuple(dict.fromkeys(x.verb for x in results)),
         verdict=found[-1].verdict.value if found else "",
         causes=found[-1].cause_names if found else (),
     )
@@ -335,15 +334,13 @@ def _misfit(name: str, answers: Sequence[Answer]) -> ComparedMisfit:
     )
 
 
-def _why_not(
-    given: Mapping[str, Sequence[Answer]], questions: Mapping[str, Question | None]
-) -> str:
+def _why_not(data_digests: Sequence[str], questions: Sequence[Question | None]) -> str:
     """Why misfits do not compare; empty where they do."""
-    if len({_digest(own[0], "data") for own in given.values()}) > 1:
+    if len(set(data_digests)) > 1:
         return "the data are not the same"
-    if not all(_digest(own[0], "data") for own in given.values()):
+    if not all(data_digests):
         return "there are no data"
-    first, *others = questions.values()
+    first, *others = questions
     if first is None or None in others:
         return "it is not known what was asked of the data"
     words = [y for x in others if x is not None for y in first.differences(x)]
@@ -353,15 +350,21 @@ def _why_not(
 
 
 def _differences(
-    given: Mapping[str, Sequence[Answer]], questions: Mapping[str, Question | None]
+    given: Sequence[Sequence[Result]], questions: Sequence[Question | None]
 ) -> Iterator[Difference]:
     """Knee, data, question and options, where they are not the same in all."""
+    firsts = [own[0] for own in given]
     rows: dict[str, list[str]] = {
-        "knee": [f"{_subject(x[0])} ({_digest(x[0], 'subject')[:8]})" for x in given.values()],
-        "data": [_data_words(x[0]) for x in given.values()],
-        "commands": [", ".join(dict.fromkeys(map(_verb, x))) for x in given.values()],
+        "knee": [f"{x.subject} ({x.subject_digest[:8]})" for x in firsts],
+        "data": [
+            f"{', '.join(Path(y).name for y in x.tables)} ({x.data_digest[:8]})"
+            if x.data_digest
+            else "none"
+            for x in firsts
+        ],
+        "commands": [", ".join(dict.fromkeys(x.verb for x in own)) for own in given],
     }
-    asked = [{} if x is None else x.words for x in questions.values()]
+    asked = [{} if x is None else x.words for x in questions]
     rows |= {what: [x.get(what, "not known") for x in asked] for what in IN_WORDS.values()}
     rows |= _options(given)
     for what, values in rows.items():
@@ -369,47 +372,18 @@ def _differences(
             yield Difference(what=what, values=tuple(values))
 
 
-def _data_words(answer: Answer) -> str:
-    """The names of the tables without their folders, and the digest by which they are known."""
-    names, known = ", ".join(Path(x).name for x in _tables(answer)), _digest(answer, "data")
-    return f"{names} ({known[:8]})" if known else "none"
-
-
-def _subject(answer: Answer) -> str:
-    named = settings_of(answer).get("subject") or getattr(answer, "subject", None)
-    return str(named or "a knee")
-
-
-def _tables(answer: Answer) -> tuple[str, ...]:
-    """The laxity tables as the call named them."""
-    named = settings_of(answer).get("data") or ()
-    return (named,) if isinstance(named, str) else tuple(map(str, named))
-
-
-def _digest(answer: Answer, name: str) -> str:
-    """SHA-256 of an input; empty where it is not known."""
-    return "" if answer.record is None else str(answer.record.inputs.get(name) or "")
-
-
-def _verb(answer: Answer) -> str:
-    if answer.record is not None:
-        return answer.record.verb
-    return next(verbs_with_answer(type(answer).__name__)).name
-
-
-def _options(given: Mapping[str, Sequence[Answer]]) -> dict[str, list[str]]:
+def _options(given: Sequence[Sequence[Result]]) -> dict[str, list[str]]:
     """Options of the commands that all have, as each was given them."""
     found: dict[str, list[str]] = {}
-    verbs = [{_verb(x): x.record for x in own} for own in given.values()]
-    for verb_name in verbs[0]:
-        if not all(verb_name in x for x in verbs):
+    verbs = [{x.verb: given_options(x.record) for x in own} for own in given]
+    for verb in verbs[0]:
+        if not all(verb in x for x in verbs):
             continue
-        records = [x[verb_name] for x in verbs]
-        chosen = [{} if x is None else given_options(x) for x in records]
+        chosen = [x[verb] for x in verbs]
         for flag in dict.fromkeys(y for x in chosen for y in x):
             if flag not in IN_QUESTION:
                 shown = [value_words(x[flag]) if flag in x else "as usual" for x in chosen]
-                found[f"{verb_name} {flag}"] = shown
+                found[f"{verb} {flag}"] = shown
     return found
 
 

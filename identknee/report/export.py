@@ -23,8 +23,8 @@ from identknee.mechanics.pose import place
 from identknee.model.laxity_model import LaxityModel, model_for_tests
 from identknee.model.parameters import Parameters
 from identknee.report.overview import ranges_of
-from identknee.report.page.results import Result, found_results
 from identknee.report.presenter import Range, presenter_of, settings_of
+from identknee.report.results import Result, found_results
 from identknee.report.scene import distance_from_femur
 from identknee.runs.declare import Array, IntArray
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
@@ -349,7 +349,7 @@ def _latest(results: list[Result]) -> Result:
 
     def order(result: Result) -> tuple[int, str]:
         known = verb_named(result.verb)
-        return 0 if known is None else known.parameter_rank, str(result.record["started"])
+        return 0 if known is None else known.parameter_rank, result.record.started
 
     return max(results, key=order)
 

@@ -24,30 +24,23 @@ from identknee.report.figures import (
 from identknee.report.opening import opening_of
 from identknee.report.page.load_figures import ALL_FORCES, KNEE_LOADS, OF_VERBS, load_drawings
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import Findings, Result, knee_of, laxity_drawings
 from identknee.report.page.viewer import model_scene, scene_of, viewer_html
 from identknee.report.presenter import Drawing, main_statements, presenter_of, statements_of
+from identknee.report.results import (
+    Findings,
+    Result,
+    knee_of,
+    laxity_drawings,
+    result_of,
+)
 from identknee.runs.files import PathLike, write_atomically
 from identknee.runs.findings import finding_lines
-from identknee.runs.record import record
-from identknee.runs.schema import summary_of
 from identknee.subject.knee import Knee
 from identknee.verbs.answer import Answer
-from identknee.verbs.registry import verbs_with_answer
 
 # Bytes of a picture and of a whole answer in a notebook, which keeps every one of them.
 MOST_BYTES = 130_000
 SHARPNESS = (110, 90, 70, 50, 35)
-
-
-def result_of(answer: Answer) -> Result:
-    """The answer as the report takes it, as if it had been read from a folder."""
-    made = (
-        answer.record
-        or record(next(verbs_with_answer(type(answer).__name__)).name, {}, {}).finish()
-    )
-    summary = {**summary_of(answer), "record": made.to_dict()}
-    return Result(folder=Path(made.verb), summary=summary, answer=answer)
 
 
 def answer_html(answer: Answer) -> str:

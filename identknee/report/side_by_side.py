@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Unpack
 
 from identknee.report.comparison import Comparison, comparison
-from identknee.report.notebook import result_of
-from identknee.report.page.results import Result, found_results
+from identknee.report.results import Result, found_results, result_of
 from identknee.runs.files import PathLike
 from identknee.verbs.answer import Answer
 from identknee.verbs.options import OutOption, argument, option
@@ -58,7 +57,7 @@ def compare(
     """
     given = _named(results, names)
     run.start_clock()
-    return comparison({name: [x.answer for x in own] for name, own in given.items()})
+    return comparison(given)
 
 
 def _named(results: ResultsLike, names: Sequence[str] | None) -> dict[str, tuple[Result, ...]]:

@@ -8,10 +8,16 @@ from typing import Any
 
 from identknee.report.figures import figure_data, recolour, resize, vector
 from identknee.report.methods import methods_text
-from identknee.report.notebook import result_of
 from identknee.report.page.page import report_drawings, report_html, report_tables
-from identknee.report.page.results import Result, by_subject, found_results, in_order, knee_of
 from identknee.report.page.viewer import scene_of
+from identknee.report.results import (
+    Result,
+    by_subject,
+    found_results,
+    in_order,
+    knee_of,
+    result_of,
+)
 from identknee.report.table_files import table_files
 from identknee.runs.files import PathLike, prepare_folder, write_atomically
 from identknee.runs.progress import progress

@@ -37,7 +37,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import ligament_parameters
 from identknee.report.export import polydata
 from identknee.report.page.page import report_html
-from identknee.report.page.results import found_results
+from identknee.report.results import found_results
 from identknee.runs.declare import IntArray
 from identknee.runs.files import digest
 from identknee.runs.store import finish_work, open_work, resumable_map

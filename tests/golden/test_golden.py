@@ -15,8 +15,8 @@ from golden_texts import Golden
 
 from identknee.cli.app import WaitingCommand, app, command_of
 from identknee.report.page.page import report_html
-from identknee.report.page.results import found_results
 from identknee.report.printer import brief_lines, terminal_lines
+from identknee.report.results import found_results
 from identknee.verbs.files import load
 
 RESULTS = Path(__file__).parents[1] / "fuzz" / "results"

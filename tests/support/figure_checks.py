@@ -22,8 +22,8 @@ from matplotlib.transforms import Bbox
 from identknee.laxity.table import read_laxity
 from identknee.report.figures import ALL_FITS, FIT, MEASURED, without_mathtext
 from identknee.report.page.page import report_drawings
-from identknee.report.page.results import by_subject, found_results, knee_of
 from identknee.report.presenter import presenter_of
+from identknee.report.results import by_subject, found_results, knee_of
 
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5
@@ -76,7 +76,7 @@ def faults_of(folder: Path) -> dict[str, list[str]]:
         names.add(found.title)
         for x in found.results:
             results.append(replace(x, knee=knee))
-            names |= set(x.summary.get("trials_used") or ())
+            names |= set(x.answer.trials_used)
             names |= set(x.protocol.trials if x.protocol is not None else ())
             for table in x.tables:
                 names |= _trials_of(table)

@@ -29,9 +29,9 @@ from identknee.report.figures import (
     rows_down,
     wrapped,
 )
-from identknee.report.page.results import Findings, Result
 from identknee.report.page.viewer import KneeScene, Mesh, scene_at
 from identknee.report.presenter import Drawing, Range, presenter_of
+from identknee.report.results import Findings, Result
 from identknee.report.scene import LIGHT, View, view_from
 from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.record import Outcome

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,15 +25,6 @@ from identknee.report.overview import (
 )
 from identknee.report.page.load_figures import KNEE_LOADS, load_drawings
 from identknee.report.page.markup import document, parts
-from identknee.report.page.results import (
-    COMPARE,
-    Findings,
-    Result,
-    by_subject,
-    comparisons,
-    drawings,
-    laxity_drawings,
-)
 from identknee.report.page.svg import inline_svg, least_width
 from identknee.report.page.viewer import KneeScene, viewer_html
 from identknee.report.presenter import (
@@ -49,11 +39,22 @@ from identknee.report.presenter import (
     statements_of,
     table,
 )
+from identknee.report.results import (
+    Findings,
+    Result,
+    by_subject,
+    comparisons,
+    drawings,
+    laxity_drawings,
+    result_of,
+)
 from identknee.report.table_files import ESTIMATES, estimates_table, file_word, named, notes_of
 from identknee.runs.declare import declared, entry
+from identknee.runs.files import plain
 from identknee.runs.findings import About, Finding, Severity, by_severity
 from identknee.runs.progress import progress
-from identknee.runs.record import Outcome, record, versions
+from identknee.runs.record import Outcome, versions
+from identknee.runs.schema import summary_of
 from identknee.runs.words import capitalised, label, listed
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
@@ -180,7 +181,7 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     titles = [x.title for x in subjects] or ["comparison"]
     title = f"Knee report: {', '.join(dict.fromkeys(titles))}"
     done = ", ".join(dict.fromkeys(x.verb for x in results))
-    days = sorted({str(x.record["started"])[:10] for x in results})
+    days = sorted({x.record.started[:10] for x in results})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
     lead = f"From {done}, computed {when}. Every sentence links to its numbers."
     maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
@@ -211,7 +212,7 @@ def subject_names(results: Sequence[Result]) -> dict[str, Findings]:
 
 def _stated_words(findings: Findings) -> str:
     """The uncertainty that was stated of a knee, in the words of the option; empty for none."""
-    stated = findings.results[0].record["settings"].get("uncertain")
+    stated = findings.results[0].record.settings.get("uncertain")
     given = [stated] if isinstance(stated, str) else stated or ()
     words = ", ".join(",".join(given).replace(" ", "").split(","))
     return f"uncertain {words}" if words else ""
@@ -230,28 +231,25 @@ def side_by_side(results: Sequence[Result]) -> tuple[Result, ...]:
     """The comparisons among the results; without one that of all knees and tables, if several."""
     if made := comparisons(results):
         return made
-    compared = dict(_by_knee_and_table(subject_names(results)))
-    compared = {name: own for name, own in compared.items() if own}
-    if len(compared) < 2:
-        return ()
-    whole = record(COMPARE, {}, {}).finish().to_dict()
-    return (Result(folder=Path(COMPARE), summary={"record": whole}, answer=comparison(compared)),)
+    compared = {x: own for x, own in _by_knee_and_table(subject_names(results)) if own}
+    return (result_of(comparison(compared)),) if len(compared) > 1 else ()
 
 
-def _by_knee_and_table(subjects: Mapping[str, Findings]) -> Iterator[tuple[str, list[Answer]]]:
-    """The answers of each knee, and where it has several tables of each table, by their names."""
+def _by_knee_and_table(
+    subjects: Mapping[str, Findings],
+) -> Iterator[tuple[str, tuple[Result, ...]]]:
+    """The results of each knee, and where it has several tables of each table, by their names."""
     for name, subject in subjects.items():
         digests = dict.fromkeys(x.data_digest for x in subject.results if x.data_digest)
         tables = [tuple(x for x in subject.results if x.data_digest == y) for y in digests]
         if len(tables) < 2:
-            yield name, [x.answer for x in tables[0]] if tables else []
+            yield name, tables[0] if tables else ()
             continue
         words = [_folder_words(replace(subject, results=x)) for x in tables]
         for k, own in enumerate(tables):
             number = f" {words[: k + 1].count(words[k])}" if words.count(words[k]) > 1 else ""
             own_name = f"{words[k]}{number}"
-            shown = own_name if len(subjects) == 1 else f"{name} ({own_name})"
-            yield shown, [x.answer for x in own]
+            yield own_name if len(subjects) == 1 else f"{name} ({own_name})", own
 
 
 def _comparison_html(result: Result, number: int) -> Markup:
@@ -446,14 +444,14 @@ def _computed_html(results: Sequence[Result]) -> Markup:
             x.verb,
             x.folder.name,
             ", ".join(map(_short_path, x.tables)) or "-",
-            str(x.record["started"])[:16].replace("T", " "),
-            float(x.record["seconds"]),
-            "-" if x.record["seed"] is None else str(x.record["seed"]),
+            x.record.started[:16].replace("T", " "),
+            x.record.seconds,
+            "-" if x.record.seed is None else str(x.record.seed),
         )
         for x in results
     )
     heads = ("verb", "folder", "data", "begun (UTC)", ("time", 1, "s"), "seed")
-    records = {f"{x.verb}, {x.folder}": x.record for x in results}
+    records = {f"{x.verb}, {x.folder}": plain(summary_of(x.record)) for x in results}
     return Markup(
         parts().computed(
             table("Results on this page", heads, rows),
@@ -470,7 +468,7 @@ def _further_commands(findings: Findings) -> list[tuple[str, str]]:
     of_data = next((x for x in reversed(findings.results) if x.tables), None)
     settings: dict[str, Any] = {"subject": findings.subject}
     if of_data is not None:
-        settings = {**of_data.record["settings"], **settings, "data": of_data.tables}
+        settings = {**of_data.record.settings, **settings, "data": of_data.tables}
     else:
         made = findings.of("demo", "simulate")
         settings["data"] = str(made[0].folder / "laxity.csv") if made else "DATA.csv"

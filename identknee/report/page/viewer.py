@@ -23,8 +23,8 @@ from identknee.model.laxity_model import Contact, LaxityModel, model_for_tests
 from identknee.model.mechanics_inputs import MechanicsInputs
 from identknee.model.prediction import Prediction
 from identknee.report.page.markup import beside, environment
-from identknee.report.page.results import Findings
 from identknee.report.presenter import presenter_of, settings_of
+from identknee.report.results import Findings
 from identknee.report.scene import distance_from_femur
 from identknee.runs.declare import Array, IntArray, array, declared, entry, frozen, frozen_integers
 from identknee.runs.record import Outcome

@@ -10,9 +10,9 @@ from cli_runs import run, short_protocol
 
 from identknee.report.opening import MOST_FINDINGS
 from identknee.report.page.page import report_html
-from identknee.report.page.results import found_results
 from identknee.report.presenter import presenter_of
 from identknee.report.printer import brief_lines, terminal_lines
+from identknee.report.results import found_results
 from identknee.runs.findings import Finding, Severity, finding, without_repeats
 from identknee.verbs.answer import Answer
 from identknee.verbs.files import load

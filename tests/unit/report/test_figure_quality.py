@@ -24,9 +24,9 @@ import identknee as ik
 from identknee.laxity.table import example_laxity
 from identknee.report.figures import COLOURS, FIT, MEASURED
 from identknee.report.page.page import report_drawings
-from identknee.report.page.results import found_results
 from identknee.report.page.svg import inline_svg
 from identknee.report.presenter import Drawing
+from identknee.report.results import found_results
 
 RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 VERBS = sorted(x.name for x in RESULTS.iterdir() if x.name != "check")

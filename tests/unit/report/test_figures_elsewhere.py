@@ -26,8 +26,8 @@ from identknee.report.figures import (
     resize,
 )
 from identknee.report.page.page import report_drawings
-from identknee.report.page.results import found_results
 from identknee.report.parameter_figures import corner_figure
+from identknee.report.results import found_results
 
 RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 MM = 25.4

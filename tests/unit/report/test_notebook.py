@@ -90,7 +90,7 @@ def test_the_report_takes_answers_folders_or_both(data: ik.Laxity, tmp_path: Pat
 
 
 def test_an_answer_of_no_call_is_shown_as_that_of_its_verb() -> None:
-    from identknee.report.notebook import result_of
+    from identknee.report.results import result_of
 
     assert result_of(straight_profiles()).verb == "profile"
     given = record("other", {}, {}).finish()

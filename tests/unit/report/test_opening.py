@@ -12,9 +12,9 @@ from identknee.report.answers.profile import profile_range
 from identknee.report.opening import opening_of
 from identknee.report.overview import Tone, overview, ranges_of
 from identknee.report.page.page import report_html
-from identknee.report.page.results import found_results
 from identknee.report.presenter import Source
 from identknee.report.printer import full_text, short_text
+from identknee.report.results import found_results
 from identknee.runs.findings import Doubt, Finding, Severity, finding
 from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis

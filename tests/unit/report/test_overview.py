@@ -24,8 +24,8 @@ from identknee.report.overview import (
     relation,
     searches_sentences,
 )
-from identknee.report.page.results import by_subject, found_results
 from identknee.report.presenter import Range, Source
+from identknee.report.results import by_subject, found_results
 from identknee.runs.declare import Array
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import untestable

@@ -26,8 +26,8 @@ from report_folders import (
 from identknee.report.overview import overview
 from identknee.report.page.markup import parts
 from identknee.report.page.page import MOST_ROWS, lead_of, report_drawings, report_html
-from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
+from identknee.report.results import by_subject, found_results
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
 from identknee.verbs.diagnosis import untestable

@@ -9,8 +9,8 @@ from browsers import browser_in, console_errors, prefer, requests_out, resize
 from report_folders import fit_folder, profile_folder
 
 from identknee.report.page.page import report_html
-from identknee.report.page.results import by_subject, found_results
 from identknee.report.page.viewer import scene_of
+from identknee.report.results import by_subject, found_results
 from identknee.subject.knee import Knee
 
 pytest.importorskip("plotly.offline", reason="plotly is not installed")

@@ -13,8 +13,8 @@ from typing_extensions import override
 
 import identknee as ik
 from identknee.report.page.page import report_html
-from identknee.report.page.results import found_results
 from identknee.report.presenter import presenter_of, statements_of
+from identknee.report.results import found_results
 from identknee.verbs.answer import Answer
 
 HELD = both_of("PCL", "LCL", "MCL")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import xarray
 
-from identknee.report.page.results import found_results
+from identknee.report.results import found_results
 from identknee.runs.errors import InputError
 from identknee.runs.files import digest
 from identknee.verbs.files import load

@@ -20,8 +20,8 @@ from identknee.identify.profile.result import (
 from identknee.report.answers.profile import parameter_statements, profile_range
 from identknee.report.overview import KNOWN
 from identknee.report.page.page import report_html, warnings
-from identknee.report.page.results import found_results
 from identknee.report.presenter import Question, statements_of
+from identknee.report.results import found_results
 from identknee.runs.findings import finding
 from identknee.subject.reference import reference_knee
 from identknee.verbs.fit import fit

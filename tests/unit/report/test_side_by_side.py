@@ -14,8 +14,8 @@ from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM, EvidenceTerm
 from identknee.report.answers.compare import ComparisonPresenter
 from identknee.report.comparison import Comparison
 from identknee.report.page.page import report_drawings, report_html, report_tables
-from identknee.report.page.results import found_results
 from identknee.report.presenter import statements_of
+from identknee.report.results import found_results
 from identknee.verbs.files import write_answer
 
 HELD = both_of("PCL", "LCL", "MCL")

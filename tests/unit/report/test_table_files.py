@@ -13,8 +13,8 @@ from report_folders import OPEN_BELOW, profile_folder, straight_profiles
 import identknee as ik
 from identknee.report.overview import overview
 from identknee.report.page.page import report_tables
-from identknee.report.page.results import found_results
 from identknee.report.presenter import Table, table
+from identknee.report.results import found_results
 from identknee.report.table_files import (
     FORMS,
     escaped,

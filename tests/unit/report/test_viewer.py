@@ -21,9 +21,8 @@ from identknee.model.effects.library import effect_named
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.line_loads import tensions_of
 from identknee.model.prediction import Prediction
-from identknee.report.notebook import result_of
-from identknee.report.page.results import Findings
 from identknee.report.page.viewer import KneeScene, model_scene, scene_of, viewer_html
+from identknee.report.results import Findings, result_of
 from identknee.runs.declare import Array
 from identknee.runs.record import Outcome
 from identknee.verbs.fit import fit

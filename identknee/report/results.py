@@ -1,14 +1,15 @@
 """The results in a folder, as the verbs left them, and their figures."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from identknee.laxity.protocol import Protocol
 from identknee.report.presenter import Drawing, of_type, presenter_of
 from identknee.runs.declare import declared, entry
 from identknee.runs.errors import InputError
+from identknee.runs.record import Record, record
 from identknee.runs.schema import read_json
 from identknee.runs.words import listed
 from identknee.subject.folder import read_subject
@@ -17,7 +18,7 @@ from identknee.verbs.answer import Answer
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.files import AGAIN, SUMMARY, loaded
 from identknee.verbs.fitted_knee import with_stated_uncertainty_of
-from identknee.verbs.registry import verb_named, verbs
+from identknee.verbs.registry import verb_named, verbs, verbs_with_answer
 
 if TYPE_CHECKING:
     from identknee.report.laxity_figures import LaxityCurves
@@ -33,7 +34,7 @@ class Result:
     """What one verb left in its folder."""
 
     folder: Path = entry("Where it is")
-    summary: Mapping[str, Any] = entry("`result.json`")
+    record: Record = entry("The call, its inputs, seed, versions and time")
     answer: Answer = entry("What the verb gave back")
     knee: Knee | None = entry(
         "The subject, for figures that need it; None where it is not known", default=None
@@ -42,34 +43,29 @@ class Result:
     @property
     def verb(self) -> str:
         """The verb that made it."""
-        return str(self.record["verb"])
-
-    @property
-    def record(self) -> Mapping[str, Any]:
-        """The call, its inputs, seed, versions and time."""
-        return dict(self.summary["record"])
+        return self.record.verb
 
     @property
     def subject(self) -> str:
         """The subject as the call named it."""
-        named = self.record["settings"].get("subject") or self.summary.get("subject")
+        named = self.record.settings.get("subject") or getattr(self.answer, "subject", None)
         return str(named or "a knee")
 
     @property
     def subject_digest(self) -> str:
         """SHA-256 of the knee, which identifies the subject."""
-        return str(self.record["inputs"].get("subject", self.subject))
+        return str(self.record.inputs.get("subject", self.subject))
 
     @property
     def tables(self) -> tuple[str, ...]:
         """The laxity tables as the call named them."""
-        named = self.record["settings"].get("data") or ()
+        named = self.record.settings.get("data") or ()
         return (named,) if isinstance(named, str) else tuple(map(str, named))
 
     @property
     def data_digest(self) -> str:
         """SHA-256 of the laxity table; empty for none."""
-        return str(self.record["inputs"].get("data") or "")
+        return self.record.inputs.get("data") or ""
 
     @property
     def protocol(self) -> Protocol | None:
@@ -151,7 +147,7 @@ def found_results(folder: Path) -> tuple[Result, ...]:
 def in_order(results: Sequence[Result]) -> tuple[Result, ...]:
     """The results in the order of the flow, older ones first within a verb."""
     order = [x.name for x in verbs()]
-    return tuple(sorted(results, key=lambda x: (order.index(x.verb), x.record["started"])))
+    return tuple(sorted(results, key=lambda x: (order.index(x.verb), x.record.started)))
 
 
 def by_subject(results: Sequence[Result]) -> tuple[Findings, ...]:
@@ -173,13 +169,20 @@ def comparisons(results: Sequence[Result]) -> tuple[Result, ...]:
 def _read(path: Path) -> Result | None:
     """The result at `path`; None where it is of a verb with nothing to report."""
     summary = read_json(path, AGAIN)
-    record = summary.get("record") if isinstance(summary, dict) else None
-    verb = verb_named(record.get("verb")) if isinstance(record, dict) else None
+    made = summary.get("record") if isinstance(summary, dict) else None
+    verb = verb_named(made.get("verb")) if isinstance(made, dict) else None
     if verb is None or not verb.is_reported:
         return None
-    return Result(
-        folder=path.parent, summary=summary, answer=loaded(path, summary, verb.answer_class)
+    return result_of(loaded(path, summary, verb.answer_class), path.parent)
+
+
+def result_of(answer: Answer, folder: Path | None = None) -> Result:
+    """The answer as the report takes it, as if it had been read from a folder."""
+    made = (
+        answer.record
+        or record(next(verbs_with_answer(type(answer).__name__)).name, {}, {}).finish()
     )
+    return Result(folder=folder or Path(made.verb), record=made, answer=answer)
 
 
 def knee_of(findings: Findings, remarks: list[str], knee: Knee | None = None) -> Knee | None:
