@@ -10,23 +10,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Ellipse, FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from identknee.checks.data_noise import Curve, load_curves
 from identknee.diagnosis.isolability import Distances
 from identknee.diagnosis.misfit import LEVEL, CellScore, places_words
 from identknee.diagnosis.missing_line import LineEnds, Pull
 from identknee.diagnosis.score import LEAST_DISTANCE
 from identknee.diagnosis.verdict import Estimate
-from identknee.laxity.protocol import Protocol, as_shown
+from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import COORDINATES
-from identknee.laxity.trial_words import load_label, load_word, series_words
 from identknee.model.effects.facts import cause_label
 from identknee.report.figures import (
     BLACK,
     COLOURS,
-    FIT,
     GREY,
     MARKERS,
-    MEASURED,
     STYLES,
     Figure,
     bare,
@@ -38,7 +34,7 @@ from identknee.report.figures import (
     rows_down,
     wrapped,
 )
-from identknee.report.laxity_figures import LaxityCurves, by_load_figure
+from identknee.report.laxity_figures import LaxityCurves, all_coordinates_figure, by_load_figure
 from identknee.report.scene import View
 from identknee.runs.declare import Array
 from identknee.runs.words import PLAIN, coordinate_words, label, listed, unit_of
@@ -160,51 +156,16 @@ def residuals_figure(
     changes
         By name of a model, its prediction minus the first one's, in the same shape.
     """
-    exact, protocol = protocol, as_shown(protocol)
-    curves = load_curves(protocol)
-    rows = np.flatnonzero(np.isfinite(residuals).any(axis=0))
-    if not rows.size:
+    if not np.isfinite(residuals).any():
         return None
-    whole = LaxityCurves(
-        protocol=exact,
+    left = LaxityCurves(
+        protocol=protocol,
         simulated={WITHOUT_CAUSE: np.zeros_like(residuals), **changes},
         measured=residuals,
         sd=sd,
     )
-    if not curves or not whole.on_curves().all():
-        return by_load_figure(whole, LEFT_OVER)
-    size = (1.2 + 1.75 * len(curves), 1.0 + 1.45 * len(rows))
-    figure, grid = panel_grid(*size, len(rows), len(curves), sharey="row", sharex="col")
-    for column, curve in enumerate(curves):
-        for axes, i in zip(grid[:, column], rows, strict=True):
-            spread = 2.0 * sd[:, i][curve.trials]
-            axes.fill_between(curve.load, -spread, spread, color="0.9", linewidth=0)
-            axes.axhline(0.0, color=FIT, linewidth=1.3)
-            axes.plot(
-                curve.load, residuals[:, i][curve.trials], "o", color=MEASURED, markersize=2.8
-            )
-            bare(axes, labelsize=TINY)
-            for k, change in enumerate(changes.values(), start=1):
-                values = change[curve.trials, i]
-                axes.plot(curve.load, values, STYLES[k], color=COLOURS[k], linewidth=1.3)
-        trial, axis = curve.trials[0], _axis(protocol, curve)
-        others = [
-            load_word(i, x, "{what} {size:.3g} {unit}")
-            for i, x in enumerate(protocol.loads[trial])
-            if i != axis and x != 0.0
-        ]
-        head = [f"{protocol.flexion_deg[trial]:g} deg", *others, *series_words(protocol, trial)]
-        grid[0, column].set_title("\n".join(wrapped(x, 22) for x in head), fontsize=SMALL)
-        grid[-1, column].set_xlabel(load_label(_axis(protocol, curve)), fontsize=SMALL)
-    for axes, i in zip(grid[:, 0], rows, strict=True):
-        axes.set_ylabel(wrapped(label(COORDINATES[i]), 18), fontsize=SMALL)
-    handles = [
-        figure.axes[0].plot([], [], STYLES[k], color=COLOURS[k], label=name)[0]
-        for k, name in enumerate(whole.simulated)
-    ]
-    legend_below(figure, handles, columns=3)
-    figure.suptitle(LEFT_OVER, fontsize=10)
-    return figure
+    draw = all_coordinates_figure if left.on_curves().all() else by_load_figure
+    return draw(left, LEFT_OVER)
 
 
 WITHOUT_CAUSE = "model without causes"
@@ -393,10 +354,6 @@ def _estimates(
     }
 
 
-def _axis(protocol: Protocol, curve: Curve) -> int:
-    return int(np.argmax(np.ptp(protocol.loads[curve.trials], axis=0)))
-
-
 def _write_cell(axes: Axes, column: int, row: int, text: str, *, is_dark: bool) -> None:
     color = "white" if is_dark else BLACK
     axes.text(column, row, text, ha="center", va="center", fontsize=TINY, color=color)
@@ -412,19 +369,26 @@ WITHIN_95 = 2.45  # standard deviations of a pair of numbers
 SHOWN, LINES = COLOURS[1], (COLOURS[2], COLOURS[3], COLOURS[4])
 
 
-def largest_pulls(pulls: Sequence[Pull], most: int = 6) -> tuple[Pull, ...]:
+MOST_PULLS = 6
+
+
+def largest_pulls(pulls: Sequence[Pull]) -> tuple[Pull, ...]:
     """The largest of what is missing, what noise hardly leaves first, in their own order."""
-    if not pulls:
-        return ()
-    tiny = np.finfo(np.float64).tiny
-    force = max(tiny, *map(_force, pulls))
-    moment = max(tiny, *(abs(x.internal_moment_Nm) for x in pulls))
-
-    def order(pull: Pull) -> tuple[bool, float]:
-        return pull.p_value > LEVEL, -_force(pull) / force - abs(pull.internal_moment_Nm) / moment
-
-    kept = sorted(pulls, key=order)[:most]
+    scales = _largest(pulls)
+    kept = sorted(pulls, key=lambda x: (x.p_value > LEVEL, -_size(x, *scales)))[:MOST_PULLS]
     return tuple(x for x in pulls if x in kept)
+
+
+def _largest(pulls: Sequence[Pull]) -> tuple[float, float]:
+    """The largest force [N] and the largest moment [N·m], never zero."""
+    tiny = float(np.finfo(np.float64).tiny)
+    forces, moments = map(_force, pulls), (abs(x.internal_moment_Nm) for x in pulls)
+    return max([tiny, *forces]), max([tiny, *moments])
+
+
+def _size(pull: Pull, force: float, moment: float) -> float:
+    """Force and moment together, as shares of these."""
+    return _force(pull) / force + abs(pull.internal_moment_Nm) / moment
 
 
 def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
@@ -446,10 +410,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
     which = f", the largest {len(pulls)} of {len(answer.missing_wrench)}" if of_many else ""
     title = f"missing force and moment on the tibia, seen from above{which}"
     figure.suptitle(wrapped(title, int(14 * width)), fontsize=10)
-    known = [x for x in pulls if x.p_value <= LEVEL] or pulls
-    tiny = np.finfo(np.float64).tiny
-    force = max(*map(_force, known), tiny)
-    moment = max(*(abs(x.internal_moment_Nm) for x in known), tiny)
+    force, moment = _largest([x for x in pulls if x.p_value <= LEVEL] or pulls)
     given: dict[str, LineEnds] = {
         cause_label(x.name): x.line for x in answer.causes if x.line is not None
     }
@@ -457,7 +418,7 @@ def wrench_figure(answer: Diagnosis, knee: Knee) -> Figure | None:
         given = {"the line tried": answer.line}
     lines = {k: knee.tibia_frame.to_local(x.in_common_frame(knee)) for k, x in given.items()}
     # Arrows cross what is written beside them: names stand where these are shortest.
-    least = min(pulls, key=lambda x: _force(x) / force + abs(x.internal_moment_Nm) / moment)
+    least = min(pulls, key=lambda x: _size(x, force, moment))
     for pull, axes in zip(pulls, panels, strict=True):
         _draw_plateau(axes, knee, lines, is_named=pull is least)
         _draw_pull(axes, pull, REACH / force, MOST_TURN / moment)

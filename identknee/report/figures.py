@@ -74,9 +74,10 @@ def _points(axes: Axes) -> Iterator[Point]:
         plain = "points" if line.get_linestyle() in ("None", "", " ") else "line"
         for a, b in zip(x, y, strict=True):
             yield _label(line), "threshold" if is_threshold else plain, k, a, b, ""
+    groups = [x for x in axes.containers if isinstance(x, BarContainer)]
     for k, patch in enumerate(x for x in axes.patches if isinstance(x, Rectangle)):
         low, base = patch.get_xy()
-        series = _bar_label(axes, patch)
+        series = _label(next((x for x in groups if patch in x.patches), patch))
         for a, b in ((low, base), (low + patch.get_width(), base + patch.get_height())):
             yield series, "bar", k, a, b, ""
     for k, collection in enumerate(axes.collections):
@@ -98,7 +99,8 @@ def _collection(given: Collection, k: int) -> Iterator[Point]:
             yield _label(given), "points", k, a, b, "" if values is None else values[i]
     elif isinstance(given, LineCollection):
         for i, segment in enumerate(given.get_segments()):
-            for a, b in np.asarray(segment, float)[:, :2]:
+            # Of a bar that is not known, as of a value not measured, nothing is left.
+            for a, b in np.asarray(segment, float).reshape(-1, 2):
                 yield _label(given), "interval", i, a, b, ""
     elif isinstance(given, PolyCollection):
         for i, path in enumerate(given.get_paths()):
@@ -106,19 +108,9 @@ def _collection(given: Collection, k: int) -> Iterator[Point]:
                 yield _label(given), "band", i, a, b, ""
 
 
-def _bar_label(axes: Axes, patch: Rectangle) -> str:
-    for container in axes.containers:
-        if isinstance(container, BarContainer) and patch in container.patches:
-            return _named(str(container.get_label()))
-    return _label(patch)
-
-
 def _label(artist: Any) -> str:
-    return _named(str(artist.get_label()))
-
-
-def _named(label: str) -> str:
     """A label that the legend shows; what matplotlib makes up is none."""
+    label = str(artist.get_label())
     return "" if label.startswith("_") else " ".join(label.split())
 
 
@@ -154,9 +146,6 @@ SEVERAL = (
 
 class SeveralPanelsError(ValueError):
     """A figure of several panels was to be drawn on one axes."""
-
-    def __init__(self) -> None:
-        super().__init__(SEVERAL)
 
 
 Place = Axes | FigureBase
@@ -194,7 +183,7 @@ class Paper(OwnFigure):
         if self._given is None:
             return super().subplots(nrows, ncols, **how)
         if nrows * ncols != 1:
-            raise SeveralPanelsError
+            raise SeveralPanelsError(SEVERAL)
         return self._given if how.get("squeeze", True) else np.array([[self._given]])
 
     @override
@@ -206,7 +195,7 @@ class Paper(OwnFigure):
     def add_gridspec(self, *args: Any, **how: Any) -> Any:
         """Places of several panels, which axes given do not have."""
         if self._given is not None:
-            raise SeveralPanelsError
+            raise SeveralPanelsError(SEVERAL)
         return super().add_gridspec(*args, **how)
 
     @override
@@ -298,14 +287,6 @@ def panel_grid(
     """A figure of so many inches, and its panels, an array of rows and columns."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **how)
-
-
-def panel_row(
-    n: int, *, width: float, height: float, sharey: bool = False
-) -> tuple[Figure, list[Axes]]:
-    """A figure of `n` panels side by side, and the panels."""
-    figure, grid = panel_grid(0.7 + width * n, height, 1, n, sharey=sharey)
-    return figure, list(grid[0])
 
 
 def panel_rows(
@@ -501,22 +482,19 @@ def recolour(figure: Figure) -> None:
     for kind_of_artist, kinds in parts.items():
         for own_artist in figure.findobj(kind_of_artist):
             # Backgrounds have the colour of the style already.
-            if not any(own_artist is x for x in papers):
-                _change(own_artist, kinds, changed)
+            if any(own_artist is x for x in papers):
+                continue
+            for kind in kinds:
+                own = getattr(own_artist, f"get_{kind}")()
+                if not (isinstance(own, str) and own in ("none", "auto")):
+                    own_artist.set(**{kind: _changed(own, changed)})
     artist: Any
     for artist in figure.findobj(Collection):
         # Collections with an array take their colours from a colour map.
         if artist.get_array() is None:
             for kind in ("facecolor", "edgecolor"):
-                own = [_changed(x, changed) for x in getattr(artist, f"get_{kind}")()]
-                getattr(artist, f"set_{kind}")(own)
-
-
-def _change(artist: Any, kinds: tuple[str, ...], changed: Mapping[str, str]) -> None:
-    for kind in kinds:
-        own = getattr(artist, f"get_{kind}")()
-        if not (isinstance(own, str) and own in ("none", "auto")):
-            getattr(artist, f"set_{kind}")(_changed(own, changed))
+                own = getattr(artist, f"get_{kind}")()
+                artist.set(**{kind: [_changed(x, changed) for x in own]})
 
 
 def _changed(colour: Any, changed: Mapping[str, str]) -> Any:

@@ -219,7 +219,8 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     Dots are measured, their bars two standard deviations; None where no angle has three loads of
     one kind.
     """
-    cells = _least_combined(curves)
+    # Of several curves of one load and setting the one with the least of the other loads.
+    cells = {(axis, setting): x for (axis, setting, _), x in reversed(_in_order(curves))}
     if not cells:
         return None
     rows = sorted({axis for axis, _ in cells})
@@ -245,22 +246,26 @@ def along_load_figure(curves: LaxityCurves) -> Figure | None:
     return figure
 
 
-def all_coordinates_figure(curves: LaxityCurves) -> Figure | None:
+def all_coordinates_figure(curves: LaxityCurves, title: str = "") -> Figure | None:
     """Every coordinate along every load curve, a column a curve; None where there is none."""
-    cells = _least_combined(curves)
-    if not cells:
+    columns, rows = _in_order(curves), _known_coordinates(curves)
+    if not columns:
         return None
-    figure, grid = panel_grid(
-        *(1.2 + 1.9 * len(cells), 9.0, len(COORDINATES), len(cells)), sharex="col", sharey="row"
-    )
-    for column, ((axis, setting), curve) in enumerate(sorted(cells.items(), key=lambda x: x[0])):
-        for row in range(len(COORDINATES)):
-            _draw(grid[row, column], curves, curve, row)
-        grid[0, column].set_title(_title(curves.protocol, setting), fontsize=SMALL + 1)
+    size = (1.2 + 1.9 * len(columns), 1.0 + 1.6 * len(rows))
+    figure, grid = panel_grid(*size, len(rows), len(columns), sharex="col", sharey="row")
+    for column, ((axis, setting, _), curve) in enumerate(columns):
+        for axes, i in zip(grid[:, column], rows, strict=True):
+            _draw(axes, curves, curve, i)
+        loads = as_shown(curves.protocol).loads[curve.trials[0]]
+        beside = loads_words(loads * (np.arange(len(LOADS)) != axis), "{what} {size:.3g} {unit}")
+        heads = [_title(curves.protocol, setting), *(wrapped(x, 22) for x in beside)]
+        grid[0, column].set_title("\n".join(heads), fontsize=SMALL + 1)
         grid[-1, column].set_xlabel(load_label(axis), fontsize=SMALL)
-    for row, coordinate in enumerate(COORDINATES):
-        grid[row, 0].set_ylabel(label(coordinate), fontsize=SMALL)
+    for axes, i in zip(grid[:, 0], rows, strict=True):
+        axes.set_ylabel(label(COORDINATES[i]), fontsize=SMALL)
     legend_below(figure, *grid[0, 0].get_legend_handles_labels(), columns=9)
+    if title:
+        figure.suptitle(title, fontsize=SMALL + 2)
     return figure
 
 
@@ -300,8 +305,7 @@ def by_load_figure(curves: LaxityCurves, title: str = "") -> Figure:
     whole = _load_columns(shown)
     kept = sorted(whole, key=lambda x: -sum(map(len, whole[x].values())))[:MOST_COLUMNS]
     columns = {k: x for k, x in whole.items() if k in kept}
-    is_known = np.any([np.isfinite(x).any(axis=0) for x in _drawn_values(curves)], axis=0)
-    rows = np.flatnonzero(is_known).tolist()
+    rows = _known_coordinates(curves)
     size = (1.3 + 2.1 * len(columns), 1.3 + 1.25 * len(rows))
     figure, grid = panel_grid(*size, len(rows), len(columns), sharex=True, sharey="row")
     for column, (acting, directions) in enumerate(columns.items()):
@@ -443,24 +447,27 @@ def _title(protocol: Protocol, setting: Setting) -> str:
     return "\n".join([f"{angle:g} deg flexion", *series_words(protocol, trial)])
 
 
-def _least_combined(curves: LaxityCurves) -> dict[tuple[int, Setting], Curve]:
-    """By load and setting its curve; of several the one with the least of the other loads.
+def _known_coordinates(curves: LaxityCurves) -> list[int]:
+    """Places of the coordinates that were measured or simulated in any trial."""
+    is_known = np.any([np.isfinite(x).any(axis=0) for x in _drawn_values(curves)], axis=0)
+    return np.flatnonzero(is_known).tolist()
 
-    None of trials that were not measured and have no equilibrium in any model.
+
+def _in_order(curves: LaxityCurves) -> list[tuple[tuple[int, Setting, float], Curve]]:
+    """Load curves after the place of their load, their setting and the largest of the other loads.
+
+    Without those of trials that were not measured and have no equilibrium in any model.
     """
-    cells: dict[tuple[int, Setting], tuple[float, Curve]] = {}
+    found = []
     series, protocol = curves.protocol.series, as_shown(curves.protocol)
     for curve in load_curves(protocol):
-        if not any(np.isfinite(x[curve.trials]).any() for x in _drawn_values(curves)):
-            continue
-        loads = protocol.loads[curve.trials]
-        axis = int(np.argmax(np.ptp(loads, axis=0)))
-        first = curve.trials[0]
-        key = axis, (int(series[first]), float(protocol.flexion_deg[first]))
-        others = float(np.abs(np.delete(loads, axis, axis=1)).max(initial=0.0))
-        if key not in cells or others < cells[key][0]:
-            cells[key] = others, curve
-    return {key: curve for key, (_, curve) in cells.items()}
+        if any(np.isfinite(x[curve.trials]).any() for x in _drawn_values(curves)):
+            first, loads = curve.trials[0], protocol.loads[curve.trials]
+            axis = int(np.argmax(np.ptp(loads, axis=0)))
+            setting = int(series[first]), float(protocol.flexion_deg[first])
+            others = float(np.abs(np.delete(loads, axis, axis=1)).max(initial=0.0))
+            found.append(((axis, setting, others), curve))
+    return sorted(found, key=lambda x: x[0])
 
 
 def _draw(axes: Axes, curves: LaxityCurves, curve: Curve, i: int) -> None:

@@ -230,18 +230,21 @@ def _placement(knee: Knee, pose: ArrayLike | None, flexion_deg: float) -> Placem
     return place(float(np.radians(flexion_deg)), frozen(pose, 5, name="the pose"))
 
 
-def _triangles(
-    view: View, vertices: Array, faces: IntArray, colour: str, opacity: float
-) -> _Polygons:
-    """A surface, each triangle shaded by how it faces the light; both of its sides are seen."""
-    corners = view.project(vertices)[faces]
+def shaded(view: View, triangles: Array, ambient: float) -> tuple[Array, Array]:
+    """Triangles on the page with their depths, and how bright each is; both sides are seen."""
+    corners = view.project(triangles)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     facing = np.abs(normals @ (LIGHT / np.linalg.norm(LIGHT))) / np.where(lengths > 0, lengths, 1)
-    shade = AMBIENT + (1.0 - AMBIENT) * facing
-    colours = np.empty((len(faces), 4))
-    colours[:, :3] = shade[:, None] * np.array(to_rgb(colour))
-    colours[:, 3] = opacity
+    return corners, ambient + (1.0 - ambient) * facing
+
+
+def _triangles(
+    view: View, vertices: Array, faces: IntArray, colour: str, opacity: float
+) -> _Polygons:
+    """A surface, each triangle shaded by how it faces the light."""
+    corners, shade = shaded(view, vertices[faces], AMBIENT)
+    colours = np.column_stack([np.outer(shade, to_rgb(colour)), np.full(len(faces), opacity)])
     return _Polygons(corners=corners[..., :2], depths=corners[..., 2].mean(axis=1), colours=colours)
 
 

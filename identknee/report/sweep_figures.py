@@ -20,7 +20,6 @@ from identknee.report.figures import (
     bare,
     legend_below,
     panel_grid,
-    panel_row,
     panel_rows,
 )
 from identknee.runs.declare import Array
@@ -30,18 +29,12 @@ from identknee.verbs.demo import StartFits
 LOWEST = 1e-12
 # More ends than these are a line without marks.
 MOST_MARKED = 60
-KIND_COLOURS = {
-    "minimum": COLOURS[0],
-    "valley": COLOURS[4],
-    "cliff": COLOURS[1],
-    "start_failed": GREY,
-}
-KIND_MARKERS = {"minimum": "o", "valley": "s", "cliff": "^", "start_failed": "x"}
-KIND_WORDS = {
-    "minimum": "minimum",
-    "valley": "optimizer stopped",
-    "cliff": "cliff",
-    "start_failed": "no prediction at the start",
+# Marker, colour and words of each end of a search.
+KINDS = {
+    "minimum": ("o", COLOURS[0], "minimum"),
+    "valley": ("s", COLOURS[4], "optimizer stopped"),
+    "cliff": ("^", COLOURS[1], "cliff"),
+    "start_failed": ("x", GREY, "no prediction at the start"),
 }
 
 
@@ -54,7 +47,7 @@ def waterfall_figure(panels: Mapping[str, Mapping[str, tuple[Array, Array]]]) ->
         By title, and then by what is drawn (``"end"``, ``"polished"``): number of the end in their
         order, and its objective, shape ``(n,)``; infinite ones are left out.
     """
-    figure, grid = panel_row(len(panels), width=2.6, height=3.2, sharey=True)
+    figure, grid = panel_rows(len(panels), (2.6, 3.2), (0.7, 0.0), len(panels), sharey=True)
     drawn = [np.asarray(x[1]) for curves in panels.values() for x in curves.values()]
     lowest = max(LOWEST, min(float(np.min(x)) for x in drawn))
     for axes, (title, curves) in zip(grid, panels.items(), strict=True):
@@ -116,8 +109,8 @@ def start_end_figure(
             axes.set_title(parameters[j].rpartition(".")[0] if row == 0 else "", fontsize=10)
             bare(axes)
         grid[row, 0].set_ylabel(f"{title}\nreference strain [%]", fontsize=9)
-    seen = [x for x in KIND_WORDS if any(x in kinds for _, _, kinds in panels.values())]
-    marks = [_mark(KIND_MARKERS[x], KIND_COLOURS[x], KIND_WORDS[x]) for x in seen]
+    seen = [x for x in KINDS if any(x in kinds for _, _, kinds in panels.values())]
+    marks = [_mark(*KINDS[x]) for x in seen]
     marks += [_mark(".", BLACK, "end"), _mark("+", BLACK, mark, markersize=11)]
     legend_below(figure, marks)
     return figure
@@ -127,12 +120,12 @@ def _start_end(axes: Axes, starts: Array, ends: Array, kinds: Sequence[str]) -> 
     failed = np.array([kind == "start_failed" for kind in kinds])
     segments = np.stack([starts, ends], axis=1)[~failed]
     axes.add_collection(LineCollection(list(segments), colors="0.75", linewidths=0.4, zorder=1))
-    for kind, marker in KIND_MARKERS.items():
+    for kind, (marker, colour, _) in KINDS.items():
         chosen = np.array([x == kind for x in kinds])
         axes.plot(
             *starts[chosen].T,
             marker,
-            color=KIND_COLOURS[kind],
+            color=colour,
             markersize=3.5,
             linestyle="",
             alpha=0.8,

@@ -25,7 +25,7 @@ from identknee.report.figures import (
     STYLES,
     bare,
     legend_below,
-    panel_row,
+    panel_rows,
 )
 
 WELL_POSED = ("reference", "lenhart2015_stable")
@@ -41,7 +41,7 @@ def main() -> None:
 
 def figure_1(record: Row) -> Figure:
     """Share of starts that recover against their distance, with its limits, a panel a knee."""
-    figure, grid = panel_row(len(knees(record)), width=3.9, height=3.5)
+    figure, grid = panel_rows(len(knees(record)), (3.9, 3.5), (0.7, 0.0), len(knees(record)))
     guesses = next(iter(record["knees"].values()))["guess_distances"]
     for axes, knee in zip(grid, knees(record), strict=True):
         parts = record["knees"][knee]["parts"]

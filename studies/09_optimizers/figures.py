@@ -13,7 +13,7 @@ from common.spreads import median_range, spread
 from matplotlib.figure import Figure
 
 import identknee as ik
-from identknee.report.figures import BLACK, COLOURS, MARKERS, bare, legend_below, panel_row
+from identknee.report.figures import BLACK, COLOURS, MARKERS, bare, legend_below, panel_rows
 
 COUNTS = (1, 3, 5, 7, 10, 15, 20, 40, 70, 100, 150, 200, 300, 400, 600, 800, 1000, 1500, 2000, 2500)
 KINDS = ("minimum", "valley", "cliff", "start_failed")
@@ -33,7 +33,8 @@ def main() -> None:
 
 def figure_1(record: Row) -> Figure:
     """Best objective so far against simulations, a panel a knee: median and the middle half."""
-    figure, grid = panel_row(len(record["knees"]), width=4.2, height=3.9, sharey=True)
+    n = len(record["knees"])
+    figure, grid = panel_rows(n, (4.2, 3.9), (0.7, 0.0), n, sharey=True)
     for axes, (knee, part) in zip(grid, record["knees"].items(), strict=True):
         for k, (method, rows) in enumerate(part["methods"].items()):
             best = np.array([row["best_after"] for row in rows], dtype=np.float64)
@@ -60,7 +61,7 @@ def figure_1(record: Row) -> Figure:
 def figure_2(record: Row) -> Figure:
     """Errors of all methods from the paper's guesses, on the first knee."""
     methods = next(iter(record["knees"].values()))["methods"]
-    figure, grid = panel_row(2, width=4.6, height=3.9)
+    figure, grid = panel_rows(2, (4.6, 3.9), (0.7, 0.0), 2)
     offsets = np.linspace(-0.36, 0.36, len(methods))
     for column, (axes, error) in enumerate(zip(grid, ("error_kN", "error_pct"), strict=True)):
         for k, (method, rows) in enumerate(methods.items()):

@@ -161,7 +161,7 @@ class SweepPresenter(Presenter[Sweep]):
 
     @override
     def drawings(self, answer: Sweep, subject: str, knee: Knee | None) -> Iterator[Drawing]:
-        from identknee.report.sweep_figures import KIND_WORDS, start_end_figure, waterfall_figure
+        from identknee.report.sweep_figures import KINDS, start_end_figure, waterfall_figure
 
         searches = answer.searches
         number = np.arange(1.0, searches.n + 1.0)
@@ -169,7 +169,7 @@ class SweepPresenter(Presenter[Sweep]):
             "end": (number, np.sort(searches.objectives)),
             "polished": (number, np.sort(searches.polished_objectives)),
         }
-        counts = listed(f"{n} {KIND_WORDS[kind]}" for kind, n in searches.kinds.items())
+        counts = listed(f"{n} {KINDS[kind][2]}" for kind, n in searches.kinds.items())
         if np.isfinite(searches.objectives).any():
             yield Drawing(
                 name="waterfall",

@@ -32,7 +32,7 @@ from identknee.report.figures import (
 from identknee.report.page.viewer import KneeScene, Mesh, scene_at
 from identknee.report.presenter import Drawing, Range, presenter_of
 from identknee.report.results import Findings, Result
-from identknee.report.scene import LIGHT, View, view_from
+from identknee.report.scene import shaded, view_from
 from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.record import Outcome
 from identknee.subject.plausibility import TENSION, strengths_by_name
@@ -165,11 +165,8 @@ def _places(protocol: Protocol) -> tuple[dict[tuple[float, str], int], list[floa
     counts = {x: sum(k == x and a in angles for a, k in found) for x in dict.fromkeys(kinds)}
     kept = sorted(counts, key=lambda x: -counts[x])[:MOST_DIRECTIONS]
     kinds_drawn = [x for x in counts if x in kept and counts[x]]
-    return (
-        {k: x for k, x in found.items() if k[0] in angles and k[1] in kinds_drawn},
-        angles,
-        (kinds_drawn),
-    )
+    kept_places = {k: x for k, x in found.items() if k[0] in angles and k[1] in kinds_drawn}
+    return kept_places, angles, kinds_drawn
 
 
 def _colours(loads: Loads) -> tuple[ScalarMappable, ScalarMappable]:
@@ -243,7 +240,7 @@ def _surface(
 ) -> None:
     """A surface with a colour for each triangle, shaded, as one picture."""
     places = mesh.vertices if placement is None else placement.to_tibia(mesh.vertices)
-    corners, shade = _shaded(IN_FRONT, places[mesh.faces])
+    corners, shade = shaded(IN_FRONT, places[mesh.faces], AMBIENT)
     order = np.argsort(corners[..., 2].mean(axis=1), kind="stable")
     faces = np.column_stack([colours[:, :3] * shade[:, None], np.full(len(colours), opacity)])
     axes.add_collection(
@@ -254,18 +251,7 @@ def _surface(
     )  # fmt: skip
 
 
-def _shaded(view: View, triangles: Array) -> tuple[Array, Array]:
-    """Triangles on the page with their depths, and how bright each is."""
-    corners = view.project(triangles)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
-    facing = np.abs(normals @ (LIGHT / np.linalg.norm(LIGHT))) / lengths
-    return corners, AMBIENT + (1.0 - AMBIENT) * facing
-
-
 ACROSS = 6
-COMPARTMENT_NAMES = tuple(f"{x} contact" for x in COMPARTMENTS)
-MENISCUS_NAMES = tuple(f"{x} meniscus" for x in COMPARTMENTS)
 
 
 def forces_chart(
@@ -290,23 +276,27 @@ def forces_chart(
     """
     known = ranges or {}
     rows = _rows(loads)
-    names = (*loads.names, *COMPARTMENT_NAMES)
-    values = np.column_stack([loads.forces, loads.contact])
-    if np.nan_to_num(loads.menisci).any():
-        names = (*names, *MENISCUS_NAMES)
-        values = np.column_stack([values, loads.menisci])
-    is_drawn = [k for k in range(len(names)) if np.isfinite(values[rows, k]).any()]
+    limits = zip(loads.strengths, loads.spreads, strict=True)
+    carried = [
+        (name, f"{name}.tension_N", forces, limit)
+        for name, forces, limit in zip(loads.names, loads.forces.T, limits, strict=True)
+    ]
+    for kind, both in (("contact", loads.contact), ("meniscus", loads.menisci)):
+        # Without menisci their forces are zero.
+        if kind == "contact" or np.nan_to_num(both).any():
+            carried += [
+                (f"{side} {kind}", f"{kind}.{side}_N", forces, (np.nan, np.nan))
+                for side, forces in zip(COMPARTMENTS, both.T, strict=True)
+            ]
+    drawn = [x for x in carried if np.isfinite(x[2][rows]).any()]
     size = (1.45, 0.8 + 0.17 * len(rows))
-    figure, panels = panel_rows(len(is_drawn), size, (1.6, 0.9), ACROSS, sharey=True)
+    figure, panels = panel_rows(len(drawn), size, (1.6, 0.9), ACROSS, sharey=True)
     has_interval = False
-    for axes, k in zip(panels, is_drawn, strict=True):
-        kind = f"{names[k]}.tension_N" if k < len(loads.names) else _quantity(names[k])
-        own = [known.get(f"{kind}@{trials[i]}") for i in rows]
+    for axes, (name, quantity, forces, limit) in zip(panels, drawn, strict=True):
+        own = [known.get(f"{quantity}@{trials[i]}") for i in rows]
         has_interval |= any(x is not None for x in own)
-        is_ligament = k < len(loads.names)
-        limit = (loads.strengths[k], loads.spreads[k]) if is_ligament else (np.nan, np.nan)
-        _draw_forces(axes, values[rows, k], own, limit)
-        axes.set_title(names[k], fontsize=SMALL + 1)
+        _draw_forces(axes, forces[rows], own, limit)
+        axes.set_title(name, fontsize=SMALL + 1)
         axes.set_xlabel("force [N]", fontsize=SMALL)
         bare(axes, grid="y", labelsize=TINY)
     if panels:
@@ -322,11 +312,6 @@ def forces_chart(
 
 
 LIMIT = "0.85"
-
-
-def _quantity(name: str) -> str:
-    side, _, kind = name.partition(" ")
-    return f"{kind}.{side}_N"
 
 
 def _rows(loads: Loads) -> IntArray:

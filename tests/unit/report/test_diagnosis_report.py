@@ -90,8 +90,8 @@ def test_the_cause_goes_through_the_residuals_of_its_curves() -> None:
     for axes in panels:
         dots = next(x for x in axes.lines if x.get_marker() == "o")
         x, measured = (np.asarray(values) for values in dots.get_data())
-        # Behind the dots is the line of zero, after them come the candidates, the best one first.
-        cause = axes.lines[list(axes.lines).index(dots) + 1]
+        # First comes the line of zero, then the candidates, the best one first.
+        cause = axes.lines[1]
         np.testing.assert_array_equal(np.asarray(cause.get_xdata()), x)
         before += float(np.sum(measured**2))
         left += float(np.sum((measured - np.asarray(cause.get_ydata())) ** 2))

@@ -38,6 +38,13 @@ def rows(figure: Figure) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(figure_data(figure))))
 
 
+def test_a_value_that_was_not_measured_leaves_no_bar_among_the_numbers() -> None:
+    figure = Figure()
+    figure.subplots().errorbar([1.0, 2.0], [3.0, np.nan], yerr=[0.5, np.nan], fmt="o")
+    bars = [(x["x"], x["y"]) for x in rows(figure) if x["mark"] == "interval"]
+    assert bars == [("1", "2.5"), ("1", "3.5")]
+
+
 def test_a_figure_of_one_panel_is_drawn_into_axes_that_are_given() -> None:
     own = Figure(layout="constrained")
     left, right = own.subplots(1, 2)
