@@ -400,12 +400,9 @@ def _borne(
     """The candidates that the knee bears at theta, and the others."""
     model = offered.with_start_poses(theta).model.with_protocol(offered.protocol)
     unborne = limits.unborne(model, offered.free.expand(theta))
-    return replace(offered, protocol=_without(offered.protocol, unborne)), unborne
-
-
-def _without(protocol: Protocol, unborne: Sequence[UnborneTrial]) -> Protocol:
     gone = {x.trial for x in unborne}
-    return protocol.select([i for i, x in enumerate(protocol.trials) if x not in gone])
+    kept = [i for i, x in enumerate(offered.protocol.trials) if x not in gone]
+    return replace(offered, protocol=offered.protocol.select(kept)), unborne
 
 
 def _other_steps(

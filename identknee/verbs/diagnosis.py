@@ -1,7 +1,8 @@
 """The diagnosis of a knee: its answer with the evidence for it, and how it is computed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -54,7 +55,7 @@ from identknee.diagnosis.verdict import (
 from identknee.identify.laplace import Interval
 from identknee.laxity.protocol import shown_flexion, zero_of_added_trials
 from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, write_laxity
-from identknee.model.effects.effect import OF, Effect
+from identknee.model.effects.effect import OF
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.limit_residuals import LimitResiduals
 from identknee.model.parameters import STIFFNESS, STRAIN
@@ -67,7 +68,6 @@ from identknee.runs.declare import (
     derived,
     entry,
 )
-from identknee.runs.executors import Executor
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Doubt, Finding, doubt_of, finding, without_repeats
 from identknee.runs.progress import planned, stage
@@ -555,65 +555,48 @@ def rows_of(found: Investigation) -> list[SuspiciousRow]:
     return suspicious_rows(leave_one_out(rows, jacobian, columns), trials, coordinates)
 
 
-@declared
-class Comparison:
-    """The verdict on other trials than those of a diagnosis."""
+Investigate = Callable[[Laxity], Investigation | None]
 
-    knee: Knee = entry("The subject")
-    starts: Sequence[Array] = entry(
-        "As in `identknee.diagnosis.investigation.investigate`, which is done again"
-    )
-    effects: Sequence[Effect] | None = entry("Effects tried, as there")
-    seed: int = entry("Seed of random numbers, as there")
-    executor: Executor = entry("Who refits causes")
 
-    def row_findings(self, found: Investigation) -> tuple[Finding, ...]:
-        """The rows that the fit contradicts, with the verdict that the other trials have."""
-        rows = rows_of(found)
-        if not rows:
-            return ()
-        it = "it" if len(rows) == 1 else "these trials"
-        then = self._verdict(without_rows(found.laxity, rows), found, f"Without {it}")
-        return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
+def row_findings(found: Investigation, again: Investigate) -> tuple[Finding, ...]:
+    """The rows that the fit contradicts, with the verdict that the other trials have."""
+    rows = rows_of(found)
+    if not rows:
+        return ()
+    it = "it" if len(rows) == 1 else "these trials"
+    then = _verdict(again(without_rows(found.laxity, rows)), found, f"Without {it}")
+    return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
 
-    def table_findings(
-        self, found: Investigation, contradicted: Sequence[str], whole: Laxity
-    ) -> tuple[Finding, ...]:
-        """The trials that the table contradicts, left out of `found`, with the verdict with them.
 
-        `whole` has these trials beside those of `found`.
-        """
-        rows = [
-            x
-            for x in suspicious_end_points(whole)
-            if whole.protocol.trials[x.trial] in contradicted
-        ]
-        if not rows:
-            return ()
-        it = "it" if len(rows) == 1 else "them"
-        then = self._verdict(whole, found, f"With {it}")
-        return trial_findings(rows, whole, "trial-against-course", then=then, is_left_out=True)
+def _contradicted(
+    run: Run, noise: NoiseLike, found: Investigation, again: Investigate
+) -> tuple[Finding, ...]:
+    """The trials that the table contradicts, with the verdict with them beside those kept."""
+    names = () if run.trials is None else run.trials.contradicted
+    if run.trials is None or not names:
+        return ()
+    whole = with_noise(run.trials.with_contradicted, noise)
+    is_used = found.laxity.is_measured.any(axis=1) | np.isin(found.laxity.protocol.trials, names)
+    whole = whole.without(~is_used)
+    rows = [x for x in suspicious_end_points(whole) if whole.protocol.trials[x.trial] in names]
+    if not rows:
+        return ()
+    then = _verdict(again(whole), found, f"With {'it' if len(rows) == 1 else 'them'}")
+    return trial_findings(rows, whole, "trial-against-course", then=then, is_left_out=True)
 
-    def _verdict(
-        self, laxity: Laxity, found: Investigation, start: str
-    ) -> tuple[str, dict[str, object]]:
-        """The verdict on other trials as a sentence, and as values."""
-        rest = investigate(
-            self.knee,
-            laxity,
-            starts=self.starts,
-            effects=self.effects,
-            seed=self.seed,
-            executor=self.executor,
-        )
-        if rest is None:
-            return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
-        verdict, causes = rest.conclusion.verdict.value, [*rest.explanation.names]
-        names = f" ({' and '.join(causes)})" if causes else ""
-        still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
-        why = " ".join(rest.conclusion.reasons)
-        values: dict[str, object] = {"verdict": verdict, "causes": causes}
-        return f"{start} the verdict is {still}{verdict}{names}. {why}", values
+
+def _verdict(
+    rest: Investigation | None, found: Investigation, start: str
+) -> tuple[str, dict[str, object]]:
+    """The verdict on other trials as a sentence, and as values."""
+    if rest is None:
+        return f"{start} the data cannot be tested.", {"verdict": Verdict.NOT_TESTABLE.value}
+    verdict, causes = rest.conclusion.verdict.value, [*rest.explanation.names]
+    names = f" ({' and '.join(causes)})" if causes else ""
+    still = "still " if rest.conclusion.verdict is found.conclusion.verdict else ""
+    why = " ".join(rest.conclusion.reasons)
+    values: dict[str, object] = {"verdict": verdict, "causes": causes}
+    return f"{start} the verdict is {still}{verdict}{names}. {why}", values
 
 
 def implausible_explanation(found: Investigation) -> tuple[Finding, ...]:
@@ -698,19 +681,17 @@ def diagnose_data(
     # Stiffness there as well: the knee has its strains already, and trials may depend on both.
     is_own = np.array_equal(used.start, model.parameters.start)
     begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
+    again = partial(
+        investigate, knee, starts=begin, effects=effects, seed=seed, executor=run.executor
+    )
     with planned("diagnosing", work_of(model.parameters.n)):
-        found = investigate(
-            knee, kept, starts=begin, effects=effects, seed=seed, executor=run.executor
-        )
+        found = again(kept)
         if found is None:
             return untestable(
                 _reason_untestable(knee, laxity), (*lost, *end_point_findings(laxity))
             )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
-    compared = Comparison(
-        knee=knee, starts=begin, effects=effects, seed=seed, executor=run.executor
-    )
     answer = replace(
         answer,
         trials_used=used.names,
@@ -729,8 +710,8 @@ def diagnose_data(
         findings=without_repeats(
             (
                 *lost,
-                *_contradicted(run, kept, noise, compared, found),
-                *compared.row_findings(found),
+                *_contradicted(run, noise, found, again),
+                *row_findings(found, again),
                 *implausible_explanation(found),
                 *answer.findings,
                 *advice_findings(found),
@@ -771,19 +752,6 @@ def _with_forces(knee: Knee, laxity: Laxity, used: TrialSelection) -> Laxity:
     only_forces = ~laxity.is_measured.any(axis=1)
     is_lost |= only_forces & ~model.predict(begin, derivatives=False).is_converged
     return laxity.without(is_lost)
-
-
-def _contradicted(
-    run: Run, kept: Laxity, noise: NoiseLike, compared: Comparison, found: Investigation
-) -> tuple[Finding, ...]:
-    """The trials that the table contradicts, with the verdict with them beside those kept."""
-    if run.trials is None or not run.trials.contradicted:
-        return ()
-    whole = with_noise(run.trials.with_contradicted, noise)
-    is_used = kept.is_measured.any(axis=1)
-    is_used |= np.isin(kept.protocol.trials, run.trials.contradicted)
-    whole = whole.without(~is_used)
-    return compared.table_findings(found, run.trials.contradicted, whole)
 
 
 def untestable(reason: str, findings: tuple[Finding, ...] = ()) -> Diagnosis:

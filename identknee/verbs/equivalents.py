@@ -1,7 +1,7 @@
 """Equivalent parameter sets, and the ranges of predictions over them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal, Unpack, get_args
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import Identification, identification
 from identknee.verbs.marginalise_nuisances import marginalise_nuisances
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.values import BoundsLike, bounds_of, check_word
+from identknee.verbs.values import BoundsLike, bounds_of
 from identknee.verbs.verb import Run, verb
 
 Criterion = Literal["noise", "paper"]
@@ -132,8 +132,6 @@ def equivalents(
     NotComputable
         If no parameters near the start have a prediction in every measured trial.
     """
-    check_word("--criterion", criterion, get_args(Criterion))
-    check_word("--forces", forces, get_args(Forces))
     asked = None if trials is None else read_trials(trials)
     setup = identification(
         subject,

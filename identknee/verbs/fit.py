@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Literal, Unpack, get_args
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 from scipy.special import stdtrit
@@ -105,7 +105,7 @@ from identknee.verbs.answer import has_priors
 from identknee.verbs.identification import BRIEF, with_noise
 from identknee.verbs.options import option
 from identknee.verbs.simulate import SimulatedLaxity, TrialEnd, simulated
-from identknee.verbs.values import bounds_of, by_ligament, check_word
+from identknee.verbs.values import bounds_of, by_ligament
 from identknee.verbs.verb import Run, verb, warm_up
 
 LEVEL = 0.9
@@ -211,9 +211,7 @@ def predicted(
         knee=knee, protocol=measured.protocol, order=measured.order, phase=measured.phase
     )
     found = continued_from_own_poses(model, theta).predict(theta)
-    if found.jacobian is None:  # pragma: no cover - it was asked for
-        raise AssertionError
-    spread = np.einsum("nip,pq,niq->ni", found.jacobian, covariance, found.jacobian)
+    spread = np.einsum("nip,pq,niq->ni", found.slopes, covariance, found.slopes)
     if residuals_of(problem).weighting == "noise" and measured.sd is not None:
         noise = noise * measured.sd
     sd = np.sqrt(spread + noise**2)
@@ -507,9 +505,6 @@ def fit(
         If an argument or a file is wrong; the message says what to do. That the model has no
         prediction at the start is no error: the outcome says it.
     """
-    check_word("continuation", continuation, get_args(Continuation))
-    check_word("weighting", weighting, get_args(Weighting))
-    check_word("likelihood", likelihood, get_args(Likelihood))
     measured = data
     if noise is not None:
         measured, weighting = with_noise(measured, noise), "noise"

@@ -9,7 +9,6 @@ from identknee.identify.information import (
     StructureCheck,
     check_structure,
     geodesics,
-    scaled_units,
 )
 from identknee.identify.information import information as fisher_information
 from identknee.runs.declare import declared, derived, entry
@@ -93,8 +92,6 @@ def information(
         priors=has_priors("information", priors),
         discrepancy=discrepancy,
     )
-    # Refuses a scaling that is none before anything takes time.
-    scaled_units(setup.problem.parameters, scaling)
     run.start_clock()
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     theta = fits[0].theta[fits[0].parameters.is_of_interest]

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal, Unpack, get_args
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 import xarray
@@ -23,7 +23,6 @@ from identknee.verbs import options
 from identknee.verbs.answer import Answer
 from identknee.verbs.identification import best_fits, identification
 from identknee.verbs.options import option, trials_option
-from identknee.verbs.values import check_word
 from identknee.verbs.verb import Run, not_resume_relevant, verb, warm_up
 
 Around = Literal["start", "fit"]
@@ -108,7 +107,6 @@ def sensitivity(
     model = model_for_tests(subject, tests)
     if around is None:
         around = "fit" if data is not None and model.poses is not None else "start"
-    check_word("around", around, get_args(Around))
     if around == "start":
         said: tuple[str, ...] = ()
         middle = load_start(start, model.parameters)
@@ -160,8 +158,6 @@ def _where(
     if posterior is None:
         middle = outputs.free.restrict(outputs.free.fixed_values)
         return box_around(outputs.parameters, middle)
-    # xarray takes longer to load than most mistakes take.
-
     draws = posterior_draws(posterior, outputs.parameters.names, samples or DEFAULT_DRAWS)
     run.add_resume_condition(draws=digest(np.ascontiguousarray(draws).tobytes()))
     return draws

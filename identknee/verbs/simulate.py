@@ -1,7 +1,7 @@
 """The laxity of a knee under a protocol, and how each trial ended."""
 
 from dataclasses import replace
-from typing import Annotated, Any, Unpack, get_args
+from typing import Annotated, Any, Unpack
 
 from typing_extensions import override
 
@@ -18,7 +18,7 @@ from identknee.laxity.table import (
     read_tests,
     write_laxity,
 )
-from identknee.laxity.translations import COMPONENTS, DEFINITIONS, Translations
+from identknee.laxity.translations import COMPONENTS, Translations
 from identknee.mechanics.equilibria import Continuation
 from identknee.model.candidate_laxity import continued_from_own_poses
 from identknee.model.laxity_model import Contact, LaxityModel
@@ -41,7 +41,6 @@ from identknee.verbs.values import (
     NoiseLike,
     ValuesLike,
     by_ligament,
-    check_word,
     noise_of,
     values_of,
 )
@@ -227,9 +226,6 @@ def simulate(
             "--noise-correlation and --noise-student describe the noise; "
             "give its size with --noise, for example --noise 0.3mm,0.3deg"
         )
-    check_word("continuation", continuation, get_args(Continuation))
-    check_word("contact", contact, get_args(Contact))
-    check_word("--translations", translations, DEFINITIONS)
     sizes = None if noise is None else noise_of(noise)
     tests = read_tests(protocol)
     chosen = values_of(values)
@@ -259,22 +255,15 @@ def simulate(
     answer = Simulation(
         **simulated(model, prediction),
         noisy=noisy,
-        rmse=_error(prediction, tests) if isinstance(tests, Laxity) else None,
+        rmse=laxity_rmse(Laxity(protocol=trials, coordinates=prediction.coordinates), tests)
+        if isinstance(tests, Laxity) and tests.is_measured.any()
+        else None,
         assumptions=said,
         findings=rim_findings(trials.trials, prediction),
     )
     if run.out is not None:
-        made = answer.laxity if noisy is None else noisy
-        write_laxity(made, run.out / LAXITY_FILE, translations=translations)
+        write_laxity(noisy or answer.laxity, run.out / LAXITY_FILE, translations=translations)
     return answer
-
-
-def _error(prediction: Prediction, tests: Laxity) -> LaxityError | None:
-    """How far the prediction is from the measured laxity; None where nothing was measured."""
-    if not tests.is_measured.any():
-        return None
-    simulated = Laxity(protocol=tests.protocol, coordinates=prediction.coordinates)
-    return laxity_rmse(simulated, tests)
 
 
 def simulated(model: LaxityModel, prediction: Prediction) -> dict[str, Any]:

@@ -169,18 +169,6 @@ def _pair(name: str, given: object) -> tuple[float, float]:
     return low, high
 
 
-def check_word(option: str, word: str, words: Sequence[str]) -> None:
-    """Refuse a word that an option does not know.
-
-    Raises
-    ------
-    ValueError
-        It lists the known words.
-    """
-    if word not in words:
-        raise ValueError(f"{option} {word}: it is none of {', '.join(words)}")
-
-
 def _by_name(texts: Sequence[str], option: str, example: str) -> dict[str, tuple[str, str]]:
     """What each text ``NAME=VALUE`` states, by its name, and the text itself."""
     found: dict[str, tuple[str, str]] = {}

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar, get_args, overload
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, get_args, get_origin, overload
 from typing import Protocol as TypedProtocol
 
 from identknee.calibrate.fit import StartLike
@@ -67,7 +67,8 @@ def read_arguments(
     Raises
     ------
     ValueError
-        If subject and data have changed places, or either is of another kind.
+        If subject and data have changed places, either is of another kind, or a word is none of
+        those to choose from.
     """
     _check_places(arguments)
     return {x: _as_taken(x, parameters[x].annotation, given) for x, given in arguments.items()}
@@ -80,6 +81,10 @@ def _as_taken(name: str, annotation: Any, given: Any) -> Any:
     if name == DATA and isinstance(given, list | tuple):
         tables = [_as_taken(name, annotation, x) for x in given]
         return tables[0] if len(tables) == 1 else _numbered(tables) or None
+    # A choice of words, alone or beside None.
+    words = [y for x in (plain, *kinds) if get_origin(x) is Literal for y in get_args(x)]
+    if words and given not in words and not (given is None and type(None) in kinds):
+        raise ValueError(f"{name} {given}: it is none of {', '.join(words)}")
     if kinds >= START:
         return _start(given)
     if is_frame(given) and (name == DATA or Frame in kinds):
@@ -429,16 +434,11 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
             run.start_clock()
             result = function(run, **bound.arguments | read)
             if run.trials is not None:
-                name, _ = _name_and_secret(function)
-                result = replace(
-                    result,
-                    question=question(name, read["subject"], run.trials, bound.arguments),
-                    findings=_with_those_of_data(result.findings, run.trials.findings),
-                )
-            warned = _subject_warnings(bound.arguments, read)
-            if warned:
-                found = without_repeats((*result.findings, *warned))
-                result = replace(result, findings=found)
+                asked = question(recording.verb, read["subject"], run.trials, bound.arguments)
+                findings = _with_those_of_data(result.findings, run.trials.findings)
+                result = replace(result, question=asked, findings=findings)
+            if warned := _subject_warnings(bound.arguments, read):
+                result = replace(result, findings=without_repeats((*result.findings, *warned)))
             result = replace(result, seconds=run.seconds, record=recording.finish())
         if run.out is not None:
             # xarray takes longer to load than a short computation takes.
@@ -491,7 +491,7 @@ def _run(
     function: Callable[..., Any], arguments: Mapping[str, Any]
 ) -> Iterator[tuple[Run, Mapping[str, Any], Any]]:
     """The run, the arguments that were read from files, and the recording."""
-    name, secret = _name_and_secret(function)
+    name, secret = getattr(function, RECORDED, (function.__name__, frozenset()))
     beside = NOT_DECIDING | getattr(function, BESIDE, frozenset())
     out = arguments.get("out")
     folder = None if out is None else prepare_folder(out)
@@ -561,14 +561,6 @@ def _subject_warnings(arguments: Mapping[str, Any], read: Mapping[str, Any]) -> 
     if "subject" not in read or not is_loaded or named_subject(arguments["subject"]) is not None:
         return ()
     return geometry_warnings(read["subject"])
-
-
-def _name_and_secret(function: Callable[..., Any]) -> tuple[str, frozenset[str]]:
-    """The verb's name in its record, and the arguments that are left out of it."""
-    named: tuple[str, frozenset[str]] = getattr(
-        function, RECORDED, (function.__name__, frozenset())
-    )
-    return named
 
 
 def _needs_data(function: Callable[..., Any]) -> bool:

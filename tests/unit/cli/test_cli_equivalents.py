@@ -91,5 +91,5 @@ def test_the_paper_s_criterion(table: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_asked_is_said(table: Path, tmp_path: Path) -> None:
     said = refused(*VERB, table, "--limit", "0", "--out", tmp_path)
     assert "than 0" in said
-    with pytest.raises(ValueError, match=r"--criterion papers: .*noise, paper"):
+    with pytest.raises(ValueError, match=r"criterion papers: .*noise, paper"):
         ik.equivalents("reference", table, criterion="papers")  # type: ignore[arg-type]

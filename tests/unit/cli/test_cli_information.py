@@ -43,5 +43,5 @@ def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_scaling_that_is_none_is_refused(noisy: Path) -> None:
-    with pytest.raises(ValueError, match=r"'steps'.* typical, prior"):
+    with pytest.raises(ValueError, match=r"scaling steps: .* typical, prior"):
         ik.information("reference", noisy, scaling="steps")  # type: ignore[arg-type]

@@ -339,3 +339,26 @@ def test_whole_numbers_however_given(frame: pd.DataFrame) -> None:
     asked = {"subject": "reference", "data": frame, "more_starts": np.int64(3), "seed": 2.0}
     read = read_arguments(parameters_in_full(ik.fit), asked)
     assert [(type(read[x]), read[x]) for x in ("more_starts", "seed")] == [(int, 3), (int, 2)]
+
+
+@pytest.mark.parametrize(
+    ("verb", "name", "choices"),
+    [
+        (ik.sweep, "design", ("sobol", "shells")),
+        (ik.equivalents, "criterion", ("noise", "paper")),
+        (ik.sensitivity, "around", ("start", "fit")),
+    ],
+)
+def test_a_word_is_one_of_the_choices(
+    verb: Callable[..., Any], name: str, choices: tuple[str, ...]
+) -> None:
+    known = parameters_in_full(verb)
+    assert read_arguments(known, {name: choices[1]}) == {name: choices[1]}
+    with pytest.raises(ValueError, match=f"^{name} round: it is none of {', '.join(choices)}$"):
+        read_arguments(known, {name: "round"})
+    # Only a verb that finds the word itself takes none.
+    if name == "around":
+        assert read_arguments(known, {name: None}) == {name: None}
+    else:
+        with pytest.raises(ValueError, match=f"^{name} None"):
+            read_arguments(known, {name: None})
