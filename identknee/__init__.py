@@ -36,7 +36,7 @@ def _printer() -> Printer:
 
 
 def _shown(given: object) -> object:
-    from identknee.report.given import shown
+    from identknee.report.notebook import shown
 
     return shown(given)  # type: ignore[arg-type]
 
@@ -66,9 +66,8 @@ register(
 register(
     Verb(
         name="compare",
-        module="identknee.report.side_by_side",
+        module="identknee.report.comparison",
         answer="Comparison",
-        answer_module="identknee.report.comparison",
         summary="Set results side by side, and see what differs.",
         example="fit-intact fit-cut --name intact --name cut",
         is_reported=True,

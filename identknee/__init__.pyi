@@ -25,9 +25,9 @@ from .laxity.table import write_laxity as write_laxity
 from .model.effects.library import effect_named as effect_named
 from .model.laxity_model import LaxityModel as LaxityModel
 from .model.residuals import LaxityResiduals as LaxityResiduals
+from .report.comparison import compare as compare
 from .report.notebook import scene_3d as scene_3d
 from .report.scene import scene as scene
-from .report.side_by_side import compare as compare
 from .runs.errors import InputError as InputError
 from .runs.record import Outcome as Outcome
 from .subject.check import check_geometry as check_geometry

@@ -275,9 +275,10 @@ def command_of(verb: Verb) -> typer.core.TyperCommand:
             for name, picture in {x: png(y) for x, y in drawn.items()}.items():
                 write_atomically(out / f"{name}.png", picture)
         if verb.has_page:
+            from identknee.report.results import found_results
             from identknee.report.write_report import write_report
 
-            write_report(out, out / PAGE)
+            write_report(found_results(out), out / PAGE)
             if not as_json:
                 typer.echo(f"Open in a browser: {out / PAGE}")
         end_with_errors(answer)
@@ -493,6 +494,7 @@ def report(
     in DIR and in the folders in it, subject by subject.
     """
     # This loads xarray and matplotlib, which takes longer than most mistakes.
+    from identknee.report.results import found_results
     from identknee.report.table_files import forms_of
     from identknee.report.write_report import FIGURES, TABLES, write_report
 
@@ -500,10 +502,10 @@ def report(
     if figures is None and (data or width):
         raise ValueError("--data and --width are of figures; add --figures svg or --figures pdf")
     summary = write_report(
-        folder,
+        found_results(folder),
         out or folder / PAGE,
-        figures,
-        forms,
+        figures=figures,
+        tables=forms,
         methods=methods,
         data=data is not None,
         width_mm=width,

@@ -1,8 +1,9 @@
-"""What results say side by side, and in what they differ beside their numbers."""
+"""Results side by side: of one knee, of several, of several models, before and after a change."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from identknee.laxity.table import COORDINATES
 from identknee.report.methods import given_options, value_words
 from identknee.report.overview import FORCE, ranges_of
 from identknee.report.presenter import Source, of_type, presenter_of
-from identknee.report.results import Result
+from identknee.report.results import Result, found_results, result_of
 from identknee.runs.declare import (
     OF_COORDINATE,
     OF_QUANTITY,
@@ -27,12 +28,15 @@ from identknee.runs.declare import (
     derived,
     entry,
 )
+from identknee.runs.files import PathLike
 from identknee.runs.words import amount, interval, listed, unit_of
 from identknee.verbs.answer import IN_WORDS, Answer, Question
 from identknee.verbs.diagnosis import Diagnosis
 from identknee.verbs.fit import Calibration
+from identknee.verbs.options import OutOption, argument, option
 from identknee.verbs.sample import Sample
 from identknee.verbs.simulate import SimulatedLaxity, Simulation
+from identknee.verbs.verb import Run, verb
 
 # Misfits are comparable only between answers that differ in none of these.
 OF_MISFIT = frozenset({"trials", "weighting", "noise_mm", "noise_deg"})
@@ -376,14 +380,14 @@ def _options(given: Sequence[Sequence[Result]]) -> dict[str, list[str]]:
     """Options of the commands that all have, as each was given them."""
     found: dict[str, list[str]] = {}
     verbs = [{x.verb: given_options(x.record) for x in own} for own in given]
-    for verb in verbs[0]:
-        if not all(verb in x for x in verbs):
+    for name in verbs[0]:
+        if not all(name in x for x in verbs):
             continue
-        chosen = [x[verb] for x in verbs]
+        chosen = [x[name] for x in verbs]
         for flag in dict.fromkeys(y for x in chosen for y in x):
             if flag not in IN_QUESTION:
                 shown = [value_words(x[flag]) if flag in x else "as usual" for x in chosen]
-                found[f"{verb} {flag}"] = shown
+                found[f"{name} {flag}"] = shown
     return found
 
 
@@ -401,3 +405,89 @@ def compared_values(x: ComparedQuantity, names: Sequence[str]) -> list[str]:
     """What each result says of a quantity, with its unit; a dash where it says nothing."""
     said = {y.name: f"{y.words} {unit_of(x.name)}".rstrip() for y in x.stands}
     return [said.get(name, "-") for name in names]
+
+
+ResultsLike = Sequence[Answer | PathLike] | Mapping[str, Answer | PathLike]
+
+
+@verb
+def compare(
+    run: Run,
+    results: Annotated[
+        ResultsLike,
+        argument(
+            "Results folders of any commands, or folders of such folders of one knee each.",
+            "DIR...",
+            in_python="Answers, folders, or either by name in a dictionary.",
+            typed=list[Path],
+        ),
+    ],
+    *,
+    names: Annotated[
+        Sequence[str] | None,
+        option(
+            "Name of each folder in tables and figures, in their order. If not given: the folders' "
+            "own.",
+            "--name",
+            in_python="A list.",
+            metavar="NAME",
+        ),
+    ] = None,
+    **_: Unpack[OutOption],
+) -> Comparison:
+    """Results side by side: parameters, forces, misfit, and in what the questions differ.
+
+    The results may be of one knee, of several, of several models, or before and after an
+    extension. Each folder gives its most informative method for a quantity, the same one for all
+    where they share one. Misfit and evidence are compared only where the data and the noise are
+    the same.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two results, names do not fit them, or one folder has several
+        knees.
+    InputError
+        If a folder holds no results.
+    """
+    given = _named(results, names)
+    run.start_clock()
+    return comparison(given)
+
+
+def _named(results: ResultsLike, names: Sequence[str] | None) -> dict[str, tuple[Result, ...]]:
+    """The results of each answer or folder by its name."""
+    if isinstance(results, Mapping):
+        names, results = names or list(results), list(results.values())
+    if isinstance(results, Answer | str | os.PathLike) or len(results) < 2:
+        raise ValueError("a comparison needs two results or more; give their folders or answers")
+    found = [_results_of(x) for x in results]
+    names = list(names or _own_names(found, results))
+    if len(names) != len(found):
+        raise ValueError(f"--name: {len(names)} names for {len(found)} results; give one for each")
+    if repeated := [x for x in names if names.count(x) > 1]:
+        raise ValueError(f"--name {repeated[0]} is given twice; give each result its own name")
+    return dict(zip(names, found, strict=True))
+
+
+def _results_of(given: Answer | PathLike) -> tuple[Result, ...]:
+    """The results of one answer, or of a folder with one knee."""
+    if isinstance(given, Answer):
+        return (result_of(given),)
+    found = tuple(x for x in found_results(Path(given)) if not isinstance(x.answer, Comparison))
+    if len({x.subject_digest for x in found}) != 1 or len({x.data_digest for x in found}) > 1:
+        raise ValueError(
+            f"{given} holds results of several knees or tables; give their folders one by one"
+        )
+    return found
+
+
+def _own_names(found: Sequence[Sequence[Result]], given: Sequence[Any]) -> list[str]:
+    """Names of the folders; numbers tell apart those of one name."""
+    plain = [
+        own[0].verb if isinstance(x, Answer) else Path(x).resolve().name
+        for own, x in zip(found, given, strict=True)
+    ]
+    return [
+        x if plain.count(x) == 1 else f"{x} {plain[: k + 1].count(x)}" for k, x in enumerate(plain)
+    ]

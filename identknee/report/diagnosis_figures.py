@@ -49,6 +49,8 @@ from identknee.verbs.diagnosis import (
 
 N_CANDIDATES = 3
 SMALL, TINY = 8, 7
+# Corners of the frame of a cell.
+FRAME = 0.46 * np.array([[-1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0, -1.0]])
 # Share of the largest score above which a cell is dark.
 DARK = 0.6
 QUANTITIES = {"stiffness_kN": "stiffness [kN]", "reference_strain_pct": "reference strain [%]"}
@@ -91,19 +93,13 @@ def misfit_figure(cells: Sequence[CellScore], title: str = "") -> Figure:
     if not cells:
         return figure
     axes = figure.add_subplot()
-    largest = max(5.0, *(abs(x.score) for x in cells))
+    limit = max(5.0, *(abs(x.score) for x in cells))
     for x in cells:
         row, column = rows.index(x.coordinate), columns.index((x.flexion_deg, x.direction))
         scores[row, column] = x.score
-        _write_cell(
-            axes, column, row, number(x.score, ".1f"), is_dark=abs(x.score) > DARK * largest
-        )
+        _write_cell(axes, column, row, number(x.score, ".1f"), is_dark=abs(x.score) > DARK * limit)
         if x.p_value <= LEVEL:
-            corners = np.array(
-                [[-0.46, 0.46, 0.46, -0.46, -0.46], [-0.46, -0.46, 0.46, 0.46, -0.46]]
-            )
-            axes.plot(corners[0] + column, corners[1] + row, color=BLACK, linewidth=1.6)
-    limit = max(5.0, float(np.nanmax(np.abs(scores), initial=0.0)))
+            axes.plot(column + FRAME[0], row + FRAME[1], color=BLACK, linewidth=1.6)
     axes.set_facecolor("0.85")
     image = axes.imshow(scores, cmap="RdBu_r", vmin=-limit, vmax=limit, aspect="auto")
     figure.colorbar(image, ax=axes, label="score of the misfit", shrink=0.9)
@@ -121,7 +117,7 @@ def residual_curves_figure(answer: Diagnosis) -> Figure | None:
 
     None where nothing was measured.
 
-    Dots are measured minus predicted values, the band two standard deviations of the noise. Lines
+    Dots are measured minus predicted values, their bars two standard deviations of the noise. Lines
     are what the model changes when a cause joins it and everything is fitted again: the cause that
     is right goes through the dots.
     """

@@ -94,8 +94,7 @@ def polydata(
     counts = {"NumberOfPoints": len(points), "NumberOfLines": len(lines)}
     counts["NumberOfPolys"] = len(triangles)
     piece = ET.SubElement(whole, "Piece", {name: str(n) for name, n in counts.items()})
-    place = ET.SubElement(piece, "Points")
-    _add(place, "Points", "Float32", points, NumberOfComponents="3")
+    _add(ET.SubElement(piece, "Points"), "Points", "Float32", points, NumberOfComponents="3")
     for kind, cells in (("Lines", lines), ("Polys", triangles)):
         held = ET.SubElement(piece, kind)
         _add(held, "connectivity", "Int64", np.concatenate([*cells, np.zeros(0, int)]))
@@ -121,8 +120,9 @@ def _add(parent: ET.Element, name: str, kind: str, values: Array | IntArray, **m
     data = np.ascontiguousarray(values, TYPES[kind]).tobytes()
     block = zlib.compress(data)
     sizes = np.array([1, len(data), len(data), len(block)], "<u4").tobytes()
-    attributes = {"type": kind, "Name": name, "format": "binary", **more}
-    element = ET.SubElement(parent, "DataArray", attributes)
+    element = ET.SubElement(
+        parent, "DataArray", {"type": kind, "Name": name, "format": "binary", **more}
+    )
     element.text = (base64.b64encode(sizes) + base64.b64encode(block)).decode("ascii")
 
 

@@ -139,8 +139,12 @@ def _call(record: Record) -> str:
         given = record.settings.get(name)
         listed_words = [given] if isinstance(given, str) else given or []
         words += [_last_part(x) for x in listed_words]
-    for name, value in given_options(record).items():
-        words += _option_words(name, value)
+    for flag, value in given_options(record).items():
+        if isinstance(value, bool):
+            words.append(flag if value else f"--no-{flag.removeprefix('--')}")
+        else:
+            given = _last_part(value) if isinstance(value, str) else value
+            words += [y for x in _texts(given) for y in (flag, x)]
     return shlex.join(words)
 
 
@@ -173,23 +177,16 @@ def value_words(value: Any) -> str:
     >>> value_words(["ACL.stiffness_kN", ("a", "b")]), value_words({"cut": 5.0}), value_words(3)
     ('ACL.stiffness_kN, a:b', 'cut=5.0', '3')
     """
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name}={_plain(x)}" for name, x in value.items())
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        return str(value)
-    return ", ".join(map(_plain, value))
+    return ", ".join(_texts(value))
 
 
-def _option_words(flag: str, value: Any) -> list[str]:
-    if value is True:
-        return [flag]
-    if value is False:
-        return [f"--no-{flag.removeprefix('--')}"]
+def _texts(value: Any) -> list[str]:
+    """What an option was given, one by one."""
     if isinstance(value, Mapping):
-        return [y for name, x in value.items() for y in (flag, f"{name}={_plain(x)}")]
+        return [f"{name}={_plain(x)}" for name, x in value.items()]
     if isinstance(value, str) or not isinstance(value, Sequence):
-        return [flag, _last_part(value) if isinstance(value, str) else str(value)]
-    return [y for x in value for y in (flag, _plain(x))]
+        return [str(value)]
+    return [*map(_plain, value)]
 
 
 def _plain(value: Any) -> str:

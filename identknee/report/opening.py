@@ -51,12 +51,9 @@ def opening_of(answers: Iterable[Answer]) -> Opening:
             values = {**leading[0].values, "command": command}
             leading = [replace(leading[0], sentence=kind.template.format(**values), values=values)]
             is_command_said = True
-        if kind.lead:
-            sentences.append(kind.sentence(*(x.detail for x in leading)))
-            brief.append(kind.sentence(leading[0].detail))
-        else:
-            sentences.append(leading[0].sentence)
-            brief.append(leading[0].sentence)
+        details = [x.detail for x in leading]
+        sentences.append(kind.sentence(*details) if kind.lead else leading[0].sentence)
+        brief.append(kind.sentence(details[0]) if kind.lead else leading[0].sentence)
         # An error in the data is still listed after its misfit was stated.
         said += [*leading, *(x for x in own if x.severity is not Severity.ERROR)]
     n_brief = len(brief)

@@ -231,21 +231,11 @@ ENDED = {
 
 def searches_sentences(answers: Sequence[Answer]) -> tuple[str, ...]:
     """Fits and sweeps in a few sentences; none without a search."""
-    all_fits = fits_by_start(answers)
-    fits = {x: y for x, y in all_fits.items() if y.outcome is not Outcome.START_FAILED}
-    failed = [x for x in all_fits.values() if x.outcome is Outcome.START_FAILED]
-    return (
-        *(_several(fits) if len(fits) > 1 else _each(fits.values())),
-        *_each(failed),
-        *(statements_of(x)[0].sentence for x in of_type(answers, Sweep)),
-    )
-
-
-def disagreement(answers: Sequence[Answer]) -> str:
-    """That fits from different starts end at different parameters; empty where they do not."""
-    return _disagreement(
-        {x: y for x, y in fits_by_start(answers).items() if y.outcome is not Outcome.START_FAILED}
-    )
+    fits = fits_by_start(answers)
+    several = [] if len(fits) < 2 else [*_several(fits)]
+    failed = [x for x in of_type(answers, Calibration) if x.outcome is Outcome.START_FAILED]
+    alone = [*([] if several else fits.values()), *failed, *of_type(answers, Sweep)]
+    return (*several, *(statements_of(x)[0].sentence for x in alone))
 
 
 def has_better_fit(fit: Calibration, others: Iterable[Calibration]) -> bool:
@@ -262,8 +252,8 @@ def has_better_fit(fit: Calibration, others: Iterable[Calibration]) -> bool:
 
 
 def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
-    """Fits by their start, and by their method too where several began there."""
-    found = of_type(answers, Calibration)
+    """Fits that ended by their start, and by their method too where several began there."""
+    found = [x for x in of_type(answers, Calibration) if x.outcome is not Outcome.START_FAILED]
     starts = Counter(x.start for x in found)
     names = [x.start if starts[x.start] == 1 else f"{x.start} ({_method(x)})" for x in found]
     # Fits alike in both, as with other settings, are distinguished by their number.
@@ -273,10 +263,6 @@ def fits_by_start(answers: Sequence[Answer]) -> dict[str, Calibration]:
         seen[name] += 1
         by_start[name if seen[name] == 1 else f"{name}, fit {seen[name]}"] = fit
     return by_start
-
-
-def _each(fits: Iterable[Calibration]) -> Iterator[str]:
-    yield from (statements_of(x)[0].sentence for x in fits)
 
 
 def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
@@ -295,7 +281,7 @@ def _several(fits: Mapping[str, Calibration]) -> Iterator[str]:
             f"{len(fits)} fits reproduce the measured laxity (RMSE) to {_errors(best)} at best and "
             f"{_errors(worst)} at worst."
         )
-    if differ := _disagreement(fits):
+    if differ := disagreement(fits):
         lowest = min(fits, key=lambda x: fits[x].objective)
         yield f"{differ} The lowest misfit is that from {lowest}."
     else:
@@ -331,7 +317,8 @@ def _errors(fit: Calibration) -> str:
     return listed(amount(size, unit) for size, unit in sizes if np.isfinite(size))
 
 
-def _disagreement(fits: Mapping[str, Calibration]) -> str:
+def disagreement(fits: Mapping[str, Calibration]) -> str:
+    """That fits from different starts end at different parameters; empty where they do not."""
     if len(fits) < 2:
         return ""
     starts, own = list(fits), list(fits.values())
@@ -456,7 +443,7 @@ def overview(answers: Sequence[Answer]) -> Overview:
             trials |= _trial_words(data.protocol)
     rows = tuple(_row(*x, trials) for x in _shown(ranges_of(answers)))
     diagnosis = next(reversed(of_type(answers, Diagnosis)), None)
-    differ = disagreement(answers)
+    differ = disagreement(fits_by_start(answers))
     fits = of_type(answers, Calibration)
     # Warnings of a fit that another one beats do not lead the page.
     opening = opening_of(

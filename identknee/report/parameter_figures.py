@@ -1,7 +1,7 @@
-"""Figures of parameters: profiles, posterior, information, equivalent sets and sensitivity."""
+"""Figures of parameters: profiles, posterior, information, equivalents, results side by side."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -13,6 +13,7 @@ from scipy.stats import gaussian_kde
 
 from identknee.identify.information import Information
 from identknee.identify.profile.result import Interval, Profile, SideStatus, cubic
+from identknee.report.comparison import ComparedMisfit, ComparedQuantity
 from identknee.report.figures import (
     ALL_FITS,
     BLACK,
@@ -132,13 +133,10 @@ def intervals_figure(
     truth
         True values by name, where they are known.
     """
-    units = list(dict.fromkeys(x.unit for x in profiles))
-    groups = [[x for x in profiles if x.unit == unit] for unit in units]
-    height = 0.5 + 0.75 * len(groups) + 0.3 * len(profiles)
-    heights = [len(x) + 0.6 for x in groups]
-    figure, grid = panel_grid(8.2, height, len(groups), 1, height_ratios=heights)
-    for axes, unit, group in zip(grid[:, 0], units, groups, strict=True):
-        for row, profile in enumerate(group):
+    names, units = [x.name for x in profiles], [x.unit for x in profiles]
+    figure, panels = _unit_panels(names, units, row=0.3, around=0.75)
+    for axes, places in panels:
+        for row, profile in enumerate(profiles[i] for i in places):
             for thickness, (level, intervals) in zip(
                 THICKNESSES, nested(profile).items(), strict=False
             ):
@@ -176,10 +174,84 @@ def intervals_figure(
             true = (truth or {}).get(profile.name)
             if true is not None:
                 axes.plot(true, row, "x", color=BLACK, markersize=6, label="truth", zorder=4)
-        rows_down(axes, [label_without_unit(x.name) for x in group], 0.5)
-        axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=8)
-        bare(axes, grid="x", labelsize=8)
-    _legend_above(figure, grid[0, 0], columns=6, fontsize=8)
+    _legend_above(figure, panels[0][0], columns=6, fontsize=SMALL)
+    return figure
+
+
+def _unit_panels(
+    names: Sequence[str], units: Sequence[str], *, row: float, around: float
+) -> tuple[Figure, list[tuple[Axes, list[int]]]]:
+    """A panel for each unit with a row for each quantity that has it, and the places of these.
+
+    A row and the room around those of a panel are in inches.
+    """
+    groups = {unit: [i for i, x in enumerate(units) if x == unit] for unit in dict.fromkeys(units)}
+    height = 0.5 + around * len(groups) + row * len(names)
+    heights = [len(x) + 0.6 for x in groups.values()]
+    figure, grid = panel_grid(8.2, height, len(groups), 1, height_ratios=heights)
+    for axes, (unit, own) in zip(grid[:, 0], groups.items(), strict=True):
+        rows_down(axes, [label_without_unit(names[i]) for i in own], 0.5)
+        axes.set_xlabel(f"[{unit}]" if unit else "", fontsize=SMALL)
+        bare(axes, grid="x", labelsize=SMALL)
+    return figure, list(zip(grid[:, 0], groups.values(), strict=True))
+
+
+# Height of a row for each result [inches].
+ROW = 0.17
+# Share of the axis beyond all estimates and ends that an open end reaches.
+BEYOND = 0.06
+
+
+def forest_figure(quantities: Sequence[ComparedQuantity], names: Sequence[str]) -> Figure:
+    """Estimates and sets of quantities, a colour and a marker for each result.
+
+    Quantities of one unit share an axis. An open end is an arrow at the edge.
+
+    Parameters
+    ----------
+    quantities
+        Of any results.
+    names
+        Of the results, in their order.
+    """
+    n, units = len(names), [words.unit_of(x.name) for x in quantities]
+    figure, panels = _unit_panels(
+        [x.name for x in quantities], units, row=0.12 + ROW * n, around=0.75
+    )
+    for axes, places in panels:
+        group = [quantities[i] for i in places]
+        ends = [
+            y
+            for x in group
+            for z in x.stands
+            for y in (z.estimate, z.lower, z.upper)
+            if y is not None
+        ]
+        low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
+        room = BEYOND * (high - low or 1.0)
+        for row, quantity in enumerate(group):
+            for stand in quantity.stands:
+                k = names.index(stand.name)
+                place = row + 0.7 * ((k + 0.5) / n - 0.5)
+                colour = COLOURS[k % len(COLOURS)]
+                if stand.has_set:
+                    left = low - room if stand.lower is None else stand.lower
+                    right = high + room if stand.upper is None else stand.upper
+                    axes.plot([left, right], [place, place], color=colour, linewidth=1.6)
+                    for end, at, shape in ((stand.lower, left, "<"), (stand.upper, right, ">")):
+                        if end is None:
+                            axes.plot(at, place, shape, color=colour, markersize=5)
+                if stand.estimate is not None:
+                    axes.plot(
+                        stand.estimate, place, MARKERS[k % len(MARKERS)], color=colour,
+                        markersize=5, markerfacecolor=colour if stand.has_set else "white",
+                    )  # fmt: skip
+        axes.set_xlim(low - 2.0 * room, high + 2.0 * room)
+    handles = [
+        Line2D([], [], color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)
+        for name, colour, marker in zip(names, cycle(COLOURS), cycle(MARKERS), strict=False)
+    ]
+    legend_below(figure, handles, columns=4)
     return figure
 
 
@@ -547,15 +619,10 @@ def _parallel(axes: Axes, parameters: Sequence[str], sets: Array, fit: Array) ->
         axes.axvline(place, color=GREY, linewidth=0.6, zorder=0)
         axes.text(place, -0.04, number(smallest), ha="center", va="top", fontsize=SMALL)
         axes.text(place, 1.03, number(largest), ha="center", va="bottom", fontsize=SMALL)
-    axes.set_xticks(places, [_on_three_lines(name) for name in parameters], fontsize=SMALL)
+    axes.set_xticks(places, [_on_lines(name) for name in parameters], fontsize=SMALL)
     axes.tick_params(axis="x", pad=14, length=0)
     axes.set(yticks=[], ylim=(-0.02, 1.02), xlim=(-0.4, len(parameters) - 0.6))
     axes.spines[["top", "right", "bottom", "left"]].set_visible(False)
-
-
-def _on_three_lines(name: str) -> str:
-    owner, _, quantity = name.rpartition(".")
-    return f"{owner}\n{label_without_unit(quantity)}\n[{words.unit_of(quantity)}]"
 
 
 # Dark means a large index, in greyscale prints too.
@@ -640,3 +707,25 @@ def _short(parameter: str) -> str:
     owner, _, kind = parameter.rpartition(".")
     letters = {"stiffness_kN": "stiffness", "reference_strain_pct": "strain"}
     return f"{owner} {letters.get(kind, kind)}"
+
+
+def deviance_figure(misfits: Sequence[ComparedMisfit]) -> Figure:
+    """Deviance of results as bars of their terms, one on another.
+
+    Parameters
+    ----------
+    misfits
+        Of results with a deviance, of the same data.
+    """
+    figure, axes = one_panel(7.2, 1.3 + 0.35 * len(misfits))
+    terms = list(dict.fromkeys(y.name for x in misfits for y in x.terms))
+    rows, begun = np.arange(len(misfits)), np.zeros(len(misfits))
+    for k, term in enumerate(terms):
+        sizes = [sum(y.deviance for y in x.terms if y.name == term) for x in misfits]
+        axes.barh(rows, sizes, 0.6, begun, color=COLOURS[k % len(COLOURS)], label=term)
+        begun = begun + sizes
+    rows_down(axes, [x.name for x in misfits])
+    axes.set_xlabel("deviance", fontsize=SMALL + 1)
+    bare(axes, grid="x", labelsize=SMALL)
+    legend_below(figure, *axes.get_legend_handles_labels(), columns=3)
+    return figure

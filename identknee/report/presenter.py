@@ -181,8 +181,13 @@ def table(
     return Table(title=title, columns=columns, rows=tuple(map(tuple, rows)), most=most)
 
 
+def is_blank(cell: Cell) -> bool:
+    """Whether a cell says nothing, or a number that is not known."""
+    return cell is None or (isinstance(cell, float) and math.isnan(cell))
+
+
 def _text(cell: Cell, column: Column) -> str:
-    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+    if cell is None or is_blank(cell):
         return "-"
     if isinstance(cell, str):
         return cell
@@ -389,9 +394,9 @@ class Presenter(Generic[Given]):
         """Laxity of all that fits as well."""
         return None
 
-    def pictures(self, _answer: Given, _knee: Knee) -> dict[str, "Figure"]:
-        """Figures that the command leaves beside the results, by the names of their files."""
-        return {}
+    def pictures(self, answer: Given, knee: Knee) -> dict[str, "Figure"]:
+        """Figures that a command with pictures leaves beside the results, by their files' names."""
+        return {x.name: x.figure for x in self.drawings(answer, "", knee)}
 
     def ranges(self, _answer: Given) -> Iterator[tuple[str, Range]]:
         """Each parameter and force by its name, with what the answer says of it."""

@@ -29,18 +29,8 @@ if TYPE_CHECKING:
 WIDTH, MOST_LINES = 100, 25
 
 
-def full_text(answer: Answer) -> str:
-    """All that the answer says."""
-    return "\n".join(terminal_lines(answer))
-
-
-def brief_text(answer: Answer) -> str:
-    """What a command prints: the answer, its table, and what changes what the reader does."""
-    return "\n".join(brief_lines(answer))
-
-
 def brief_lines(answer: Answer) -> list[str]:
-    """The main sentences, each with its first table, the most severe findings, how many more.
+    """What a command prints: main sentences, each with its first table, and the gravest findings.
 
     All of it is in `terminal_lines`, in the files and in the report.
     """

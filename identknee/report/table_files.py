@@ -2,12 +2,17 @@
 
 import csv
 import io
-import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from identknee.report.overview import Overview, overview
-from identknee.report.presenter import Cell, Table, assumption_sentences, statements_of, table
+from identknee.report.presenter import (
+    Table,
+    assumption_sentences,
+    is_blank,
+    statements_of,
+    table,
+)
 from identknee.runs.findings import Severity, finding_lines
 from identknee.runs.words import unit_of
 from identknee.verbs.answer import Answer
@@ -110,7 +115,7 @@ def _csv(given: Table, _: str, notes: Sequence[str]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([x.head for x in given.columns])
-    writer.writerows([["" if _is_blank(x) else x for x in row] for row in given.rows])
+    writer.writerows([["" if is_blank(x) else x for x in row] for row in given.rows])
     return "".join(f"# {x}\n" for x in (given.title, *notes)) + text.getvalue()
 
 
@@ -166,10 +171,6 @@ def _latex_cell(text: str) -> str:
     return f"${number[1]}{number[2]}{power}$"
 
 
-def _is_blank(cell: Cell) -> bool:
-    return cell is None or (isinstance(cell, float) and math.isnan(cell))
-
-
 FORMS: Mapping[str, tuple[str, Callable[[Table, str, Sequence[str]], str]]] = {
     "csv": ("csv", _csv),
     "latex": ("tex", _latex),
@@ -205,7 +206,7 @@ def table_files(
     """
     for name, (given, notes) in tables.items():
         shown = given.without_blank_columns
-        has_dash = any(_is_blank(cell) for row in shown.rows for cell in row)
+        has_dash = any(is_blank(cell) for row in shown.rows for cell in row)
         below = (*([DASH] if has_dash else []), *notes)
         for form in forms:
             ending, write = FORMS[form]

@@ -27,24 +27,6 @@ from identknee.verbs.answer import Answer
 FIGURES, TABLES, METHODS = "figures", "tables", "methods.md"
 
 
-def write_report(
-    folder: Path,
-    page: Path,
-    figures: str | None = None,
-    tables: Sequence[str] = (),
-    *,
-    methods: bool = False,
-    data: bool = False,
-    width_mm: float | None = None,
-) -> dict[str, Any]:
-    """What was found and written; the page is at `page`."""
-    results = found_results(folder)
-    made = write_page(results, page, figures, tables, data=data, width_mm=width_mm)
-    if methods:
-        made["methods"] = str(write_atomically(page.parent / METHODS, _methods(results)))
-    return made
-
-
 def report_on(
     results: Answer | PathLike | Sequence[Answer | PathLike],
     path: PathLike,
@@ -73,22 +55,23 @@ def report_on(
         for x in given
         for y in ([result_of(x)] if isinstance(x, Answer) else found_results(Path(x)))
     ]
-    write_page(in_order(found), Path(path), knee=knee)
+    write_report(in_order(found), Path(path), knee=knee)
     return Path(path)
 
 
-def write_page(
+def write_report(
     results: Sequence[Result],
     page: Path,
+    *,
     figures: str | None = None,
     tables: Sequence[str] = (),
-    knee: Knee | None = None,
-    *,
+    methods: bool = False,
     data: bool = False,
     width_mm: float | None = None,
+    knee: Knee | None = None,
 ) -> dict[str, Any]:
     """What was written of these results; the page is at `page`."""
-    prepare_folder(page.parent)
+    folder = prepare_folder(page.parent)
     remarks: list[str] = []
     knees = {x.results[0].subject_digest: knee_of(x, remarks, knee) for x in by_subject(results)}
     drawn = [replace(x, knee=knees.get(x.subject_digest)) for x in results]
@@ -99,15 +82,24 @@ def write_page(
         and (scene := scene_of(x, own)) is not None
     }
     write_atomically(page, report_html(drawn, scenes))
-    return {
+    made: dict[str, Any] = {
         "report": str(page),
         "results": [{"verb": x.verb, "folder": str(x.folder)} for x in results],
         "figures": []
         if figures is None
-        else _write_figures(drawn, page.parent, figures, data=data, width_mm=width_mm),
-        "tables": _write_tables(results, page.parent, tables) if tables else [],
+        else _write_figures(drawn, folder, figures, data=data, width_mm=width_mm),
+        "tables": [],
         "remarks": remarks,
     }
+    if tables:
+        place = prepare_folder(folder / TABLES)
+        files = table_files(report_tables(results), tables)
+        made["tables"] = [str(write_atomically(place / name, text)) for name, text in files]
+    if methods:
+        parts = (f"## {x.verb} ({x.folder.name})\n\n{methods_text(x.answer)}\n" for x in results)
+        text = "\n".join(["# Methods\n", *parts])
+        made["methods"] = str(write_atomically(folder / METHODS, text))
+    return made
 
 
 def _write_figures(
@@ -127,14 +119,3 @@ def _write_figures(
         file = write_atomically(place / f"{name}.{form}", vector(drawing.figure, form))
         written.append(str(file))
     return written
-
-
-def _write_tables(results: Sequence[Result], folder: Path, forms: Sequence[str]) -> list[str]:
-    place = prepare_folder(folder / TABLES)
-    files = table_files(report_tables(results), forms)
-    return [str(write_atomically(place / name, text)) for name, text in files]
-
-
-def _methods(results: Sequence[Result]) -> str:
-    parts = (f"## {x.verb} ({x.folder.name})\n\n{methods_text(x.answer)}\n" for x in results)
-    return "\n".join(["# Methods\n", *parts])

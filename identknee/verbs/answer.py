@@ -282,11 +282,11 @@ class Answer:
     @override
     def __str__(self) -> str:
         """All that the result says, as a command prints it with ``--verbose``."""
-        return _shown(lambda x: x.full_text(self), type(self).__name__)
+        return _shown(lambda x: "\n".join(x.terminal_lines(self)), type(self).__name__)
 
     def brief(self) -> str:
         """What a command prints: the answer, its table and at most three findings."""
-        return _shown(lambda x: x.brief_text(self), type(self).__name__)
+        return _shown(lambda x: "\n".join(x.brief_lines(self)), type(self).__name__)
 
     def _repr_html_(self) -> str:
         """The result in a notebook: its sentences, its table and one figure."""

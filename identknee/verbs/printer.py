@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 class Printer(Protocol):
     """Shows answers as text, tables and figures."""
 
-    def full_text(self, answer: Any) -> str:
+    def terminal_lines(self, answer: Any) -> list[str]:
         """All that the answer says."""
 
-    def brief_text(self, answer: Any) -> str:
+    def brief_lines(self, answer: Any) -> list[str]:
         """What a command prints of the answer."""
 
     def short_text(self, answer: Any) -> str:

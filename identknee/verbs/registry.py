@@ -22,7 +22,7 @@ class Verb:
     function
         Name of the function, if not that of the verb.
     answer
-        Name of the class of its answer, in `answer_module`, or in `module` if that is empty.
+        Name of the class of its answer, which its module knows.
     summary
         One line of help; empty if the verb has no command.
     example
@@ -51,7 +51,6 @@ class Verb:
     answer: str
     module: str = ""
     function: str = ""
-    answer_module: str = ""
     summary: str = ""
     example: str = ""
     folder: str = ""
@@ -82,7 +81,7 @@ class Verb:
     @property
     def answer_class(self) -> Any:
         """The class of its answer, loaded with its module."""
-        return resolve_name(f"{self.answer_module or self.module}:{self.answer}")
+        return resolve_name(f"{self.module}:{self.answer}")
 
 
 # In the order of the flow: the report and the help list them so.
@@ -175,7 +174,6 @@ _VERBS = [
         module="identknee.verbs.isolability",
         function="diagnose",
         answer="Diagnosis",
-        answer_module="identknee.verbs.diagnosis",
         summary="Find what the model of SUBJECT gets wrong, and why.",
         example="reference data.csv --noise 0.3mm,0.3deg",
         is_reported=True,

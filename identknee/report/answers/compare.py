@@ -1,7 +1,6 @@
 """What results say side by side: where they exclude one another, and in what they differ."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from typing_extensions import override
@@ -12,9 +11,6 @@ from identknee.report.presenter import Drawing, Presenter, Statement, Table, tab
 from identknee.runs.findings import Doubt
 from identknee.runs.words import label, label_without_unit, listed, listed_first, unit_of
 from identknee.subject.knee import Knee
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Forces and predictions in a figure and a table, those that differ most.
 MOST_FORCES, MOST_NAMED = 8, 3
@@ -183,7 +179,7 @@ class ComparisonPresenter(Presenter[Comparison]):
     @override
     def drawings(self, answer: Comparison, subject: str, knee: Knee | None) -> Iterator[Drawing]:
         """A forest plot of parameters, one of what differs most of forces, and the misfit."""
-        from identknee.report.comparison_figures import forest_figure, misfit_figure
+        from identknee.report.parameter_figures import deviance_figure, forest_figure
 
         names = listed(answer.names)
         for name, given in (
@@ -203,12 +199,8 @@ class ComparisonPresenter(Presenter[Comparison]):
         if answer.is_misfit_comparable and len(known) > 1:
             yield Drawing(
                 name="deviance",
-                figure=misfit_figure(known),
+                figure=deviance_figure(known),
                 caption="Deviance of the best fits by its terms; the data and the noise are the "
                 "same.",
                 description=f"Deviance by term of {listed(x.name for x in known)}.",
             )
-
-    @override
-    def pictures(self, answer: Comparison, knee: Knee) -> dict[str, "Figure"]:
-        return {x.name: x.figure for x in self.drawings(answer, "", knee)}

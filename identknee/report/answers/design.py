@@ -254,13 +254,10 @@ class DesignPresenter(Presenter[Design]):
             targets = f"all {len(choice.targets)} targets"
         trials = counted(map(trial_description, answer.trials))
         name, now, then = _headline(choice)
-        words = capitalised(parameter_words(name))
-        narrowing_words = f"{words} {'stays' if now == then else 'would then be'} {then}" + (
-            "." if now == then else f"; it is {now} now."
-        )
+        changes = f"stays {now}." if now == then else f"would then be {then}; it is {now} now."
         parts = (
             f"Next test for {targets}: {trials}.",
-            narrowing_words,
+            f"{capitalised(parameter_words(name))} {changes}",
             unbounded_words(choice),
         )
         yield self.say(

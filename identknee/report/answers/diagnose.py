@@ -1,7 +1,7 @@
 """What a diagnosis says: what is wrong and why, which tests help, what a protocol could show."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from math import hypot
 from typing import TYPE_CHECKING, TypeVar
 
@@ -57,6 +57,8 @@ if TYPE_CHECKING:
 
     from identknee.report.laxity_figures import LaxityCurves
 
+# A sentence and its table.
+Said = tuple[str, Table]
 MOST_CAUSES = 2
 SIZES = ("detectable above", "smallest relevant effect")
 
@@ -89,8 +91,11 @@ class IsolabilityPresenter(Presenter[Isolability]):
             )
             for name, x in answer.effects.items()
         )
-        names = ("cause", *SIZES, "looks like")
-        shown = table("What these trials could show in nine of ten data sets", names, rows)
+        shown = table(
+            "What these trials could show in nine of ten data sets",
+            ("cause", *SIZES, "looks like"),
+            rows,
+        )
         trials = f"The {answer.n_trials} trials of {answer.protocol}"
         together = "; ".join(_few(x.effects) for x in answer.groups)
         outcome = "would distinguish all causes."
@@ -124,10 +129,6 @@ class IsolabilityPresenter(Presenter[Isolability]):
             "could explain in its place. Causes in dark cells cannot be distinguished.",
             description=f"Distances between {len(names)} causes.",
         )
-
-    @override
-    def pictures(self, answer: Isolability, knee: Knee) -> dict[str, "Figure"]:
-        return {x.name: x.figure for x in self.drawings(answer, "", knee)}
 
     @override
     def next_tests(self, answer: Isolability) -> Iterator[str]:
@@ -195,11 +196,11 @@ def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
         (
             f"{cause_label(cause.name)}, {label(name)}",
             x.value,
-            *map(_end, x.ci95),
+            *_or("open", x.ci95),
             cause.source if k == 0 else "",
         )
         for cause in answer.causes
-        for k, (name, x) in enumerate(_largest_first(cause.parameters.items()))
+        for k, (name, x) in enumerate(_largest_first(cause.parameters))
     )
     heads = ("amplitude", ("value", None), ("95 % from", None), ("to", None), "plausible size")
     others = tuple(
@@ -237,19 +238,19 @@ def _verdict_tables(answer: Diagnosis) -> tuple[Table, ...]:
             *([("chi-square with the cause", misfit.chi_square_after)] if answer.causes else []),
             ("measured values", misfit.n_measured),
         )
-        tests = ("test", ("value", None))
-        tables.append(table("Strength of evidence", tests, strength))
+        tables.append(table("Strength of evidence", ("test", ("value", None)), strength))
     return tuple(x for x in tables if x.rows)
 
 
-def _largest_first(amplitudes: Collection[tuple[str, Estimate]]) -> Sequence[tuple[str, Estimate]]:
+def _largest_first(amplitudes: Mapping[str, Estimate]) -> Sequence[tuple[str, Estimate]]:
     """The amplitudes as they are, or where they are many the largest first."""
     if len(amplitudes) <= MOST_AMPLITUDES:
-        return [*amplitudes]
-    return sorted(amplitudes, key=lambda x: -abs(x[1].value))
+        return [*amplitudes.items()]
+    return sorted(amplitudes.items(), key=lambda x: -abs(x[1].value))
 
 
-def _where(misfit: Misfit) -> Statement:
+def _where(misfit: Misfit) -> Said:
+    """Where the misfit is largest."""
     angles: dict[tuple[str, str], list[str]] = {}
     for x in misfit.cells:
         place = coordinate_words(x.coordinate), x.direction
@@ -258,39 +259,30 @@ def _where(misfit: Misfit) -> Statement:
         f"{coordinate} {_under(direction)} at {listed(own)} deg of flexion"
         for (coordinate, direction), own in angles.items()
     )
-    rows = tuple(
-        (label(x.coordinate), x.flexion_deg, x.direction, x.score, x.p_value) for x in misfit.cells
-    )
-    heads = ("coordinate", ("flexion", 0, "deg"), "load", ("score", 1), ("p", None))
-    return Statement(
-        question=Question.WRONG,
-        sentence=f"The misfit is largest in {places}. "
-        f"{100 * misfit.share:.0f} % of what exceeds the noise is there.",
-        tables=(table("Cells that stand out", heads, rows),),
-        is_answer=True,
+    share = f"{100 * misfit.share:.0f} % of what exceeds the noise is there."
+    return f"The misfit is largest in {places}. {share}", table(
+        "Cells that stand out",
+        ("coordinate", ("flexion", 0, "deg"), "load", ("score", 1), ("p", None)),
+        (
+            (label(x.coordinate), x.flexion_deg, x.direction, x.score, x.p_value)
+            for x in misfit.cells
+        ),
     )
 
 
-def _missing(pulls: Sequence[Pull]) -> Statement:
+def _missing(pulls: Sequence[Pull]) -> Said:
     """All forces and moments that the model lacks, of which a picture shows the largest."""
     most = max(pulls, key=lambda x: (x.p_value <= LEVEL, hypot(*_forces(x))))
-    heads = (
-        ("flexion", 0, "deg"),
-        "load",
-        ("anterior force", 0, "N"),
-        ("lateral force", 0, "N"),
-        ("internal moment", 1, "N·m"),
-        ("p", None),
-    )
-    rows = (
-        (x.flexion_deg, x.direction, *_forces(x), x.internal_moment_Nm, x.p_value) for x in pulls
-    )
-    return Statement(
-        question=Question.WRONG,
-        sentence=f"The largest force that the model lacks on the tibia is "
-        f"{amount(hypot(*_forces(most)), 'N')}, {_under(most.direction)} at {most.flexion_deg:g} "
-        "deg of flexion.",
-        tables=(table("Missing force and moment on the tibia", heads, rows),),
+    where = f"{_under(most.direction)} at {most.flexion_deg:g} deg of flexion"
+    force = amount(hypot(*_forces(most)), "N")
+    return f"The largest force that the model lacks on the tibia is {force}, {where}.", table(
+        "Missing force and moment on the tibia",
+        (
+            *(("flexion", 0, "deg"), "load"),
+            *(("anterior force", 0, "N"), ("lateral force", 0, "N")),
+            *(("internal moment", 1, "N·m"), ("p", None)),
+        ),
+        ((x.flexion_deg, x.direction, *_forces(x), x.internal_moment_Nm, x.p_value) for x in pulls),
     )
 
 
@@ -298,28 +290,25 @@ def _forces(pull: Pull) -> tuple[float, float]:
     return pull.anterior_force_N, pull.lateral_force_N
 
 
-def _gain(gain: GainFound) -> Statement:
+def _gain(gain: GainFound) -> Said:
+    """Errors of held-out trials, and what the cause gains there."""
     held, expected = gain.rmse_held_out, gain.rmse_held_out_expected
     names = {
         "before": "without the cause",
         "after": "with the cause",
         "absorbed": "with a Gaussian process in place of a cause",
     }
-    rows = tuple(
-        (words, held[key].mm, held[key].deg, held[key].noise, expected[key].noise)
-        for key, words in names.items()
-    )
-    heads = (
-        "model",
-        ("error", 2, "mm"),
-        ("error", 2, "deg"),
-        ("error", 2, "sd of the noise"),
-        ("expected if the model is right", 2, "sd of the noise"),
-    )
-    return Statement(
-        question=Question.WRONG,
-        sentence=_gain_sentence(gain),
-        tables=(table("Errors of held-out trials", heads, rows),),
+    return _gain_sentence(gain), table(
+        "Errors of held-out trials",
+        (
+            "model",
+            *(("error", 2, unit) for unit in ("mm", "deg", "sd of the noise")),
+            ("expected if the model is right", 2, "sd of the noise"),
+        ),
+        (
+            (words, held[key].mm, held[key].deg, held[key].noise, expected[key].noise)
+            for key, words in names.items()
+        ),
     )
 
 
@@ -349,15 +338,9 @@ def _rise(gain: GainFound | FamilyGain) -> str:
     return f"{amount(gain.elpd_difference, '')} ± {amount(gain.elpd_se, '')}"
 
 
-def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
+def _under_limits(models: Sequence[CauseUnderLimits]) -> Said:
     """What limits of plausibility cost the model, and which cause pays for it."""
     base, *causes = models
-    if base.price is None:
-        return Statement(
-            question=Question.WRONG,
-            sentence="With limits of plausibility no fit has an equilibrium in every trial. Begin "
-            "one elsewhere with --start.",
-        )
     sentence = f"Without a cause the limits of plausibility cost {base.price:.1f}."
     if causes and causes[0].price is not None:
         best = causes[0]
@@ -369,47 +352,33 @@ def _under_limits(models: Sequence[CauseUnderLimits]) -> Statement:
                 "probability that a knee of the model is plausible changes by "
                 f"{best.log_limits_difference:.1f}, which is no evidence of these data."
             )
-    heads = (
-        "model with limits",
-        ("price", 1),
-        ("beyond limits", 1),
-        ("change of log evidence", 1),
-        ("change of log p(limits)", 1),
-        ("sd", 1),
-    )
-    rows = (
+    return sentence, table(
+        "Causes where limits of plausibility count",
         (
-            listed(map(cause_label, x.names)) or "no cause",
-            *map(
-                _known,
-                (
-                    x.price,
-                    x.of_limits,
-                    x.log_data_difference,
-                    x.log_limits_difference,
-                    x.log_limits_se,
+            *("model with limits", ("price", 1), ("beyond limits", 1)),
+            *(("change of log evidence", 1), ("change of log p(limits)", 1), ("sd", 1)),
+        ),
+        (
+            (
+                listed(map(cause_label, x.names)) or "no cause",
+                *_or(
+                    "not known",
+                    (
+                        *(x.price, x.of_limits),
+                        *(x.log_data_difference, x.log_limits_difference, x.log_limits_se),
+                    ),
                 ),
-            ),
-        )
-        for x in models
-    )
-    return Statement(
-        question=Question.WRONG,
-        sentence=sentence,
-        tables=(table("Causes where limits of plausibility count", heads, rows),),
-        is_answer=True,
+            )
+            for x in models
+        ),
     )
 
 
-def _known(value: float | None) -> float | str:
-    return "not known" if value is None else value
-
-
-def _change(answer: Diagnosis) -> Statement:
+def _change(answer: Diagnosis) -> Said:
     before, after = (_flat(x) for x in (answer.parameters_before, answer.parameters_after))
     old, new = (_flat(x) for x in (answer.parameters_before_ci95, answer.parameters_after_ci95))
     rows: list[tuple[str | float, ...]] = [
-        (label(x), value, *map(_end, old[x]), after[x], *map(_end, new[x]))
+        (label(x), value, *_or("open", old[x]), after[x], *_or("open", new[x]))
         for x, value in before.items()
     ]
     moves = {x: abs(after[x] - value) / _width(old[x]) for x, value in before.items()}
@@ -422,9 +391,7 @@ def _change(answer: Diagnosis) -> Statement:
         most = sorted(moves, key=lambda x: -moves[x])[:MOST_PARAMETERS]
         words = listed(map(parameter_words, most))
         sentence = f"The cause changes the fitted parameters, most of all {words}."
-    return Statement(
-        question=Question.WRONG, sentence=sentence, tables=(table(title, heads, rows),)
-    )
+    return sentence, table(title, heads, rows)
 
 
 def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
@@ -450,7 +417,7 @@ def _better_known(answer: Diagnosis, advice: Advice) -> Statement:
     )
 
 
-def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
+def _parameters_by_explanation(answer: Diagnosis) -> Said | None:
     """What the ligaments' parameters are under every explanation that is open."""
     rivals = [_flat(x.parameters) for x in answer.rivals if x.state is RivalState.OPEN]
     if not rivals or not answer.causes:
@@ -463,20 +430,17 @@ def _parameters_by_explanation(answer: Diagnosis) -> Statement | None:
         is_free = (low is None or low <= min(values)) and (high is None or max(values) <= high)
         rows.append((label(name), min(values), max(values), "no" if is_free else "yes"))
         held += [] if is_free else [parameter_words(name)]
-    names = ("parameter", "from", "to", "depends on the cause")
     who = "Whichever of the possible causes it is, the ligament parameters"
     finding = "stay within their intervals"
     if held:
         who = "More than one cause remains possible, and these parameters"
         finding = f"depend on which of them it is: {listed(held)}"
-    return Statement(
-        question=Question.WRONG,
-        sentence=f"{who} {finding}.",
-        tables=(table("Parameters under all open explanations", names, rows),),
-    )
+    heads = ("parameter", "from", "to", "depends on the cause")
+    return f"{who} {finding}.", table("Parameters under all open explanations", heads, rows)
 
 
-def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
+def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Said:
+    """Every cause that was tested, and those that were not."""
     rows = tuple(
         (cause_label(name), FOUND[x.cell], x.score, *detectable_sizes(x), 100.0 * x.power)
         for name, x in effects.items()
@@ -492,11 +456,7 @@ def _tried(effects: Mapping[str, Exclusion], uncertain: Set[str]) -> Statement:
         sentence += f" Not testable with these data or this knee: {listed(missing)}."
     if stated:
         sentence += f" Taken as uncertain from the start: {listed(stated)}."
-    return Statement(
-        question=Question.WRONG,
-        sentence=sentence,
-        tables=(table("Every cause tested", heads, rows),),
-    )
+    return sentence, table("Every cause tested", heads, rows)
 
 
 def _under(direction: str) -> str:
@@ -514,8 +474,9 @@ def _width(ends: Interval) -> float:
     return float("inf") if low is None or high is None else max(high - low, 1e-12)
 
 
-def _end(end: float | None) -> float | str:
-    return "open" if end is None else end
+def _or(word: str, values: Iterable[float | None]) -> Iterator[float | str]:
+    """The values, with a word for those that are not there."""
+    return (word if x is None else x for x in values)
 
 
 class DiagnosisPresenter(Presenter[Diagnosis]):
@@ -528,22 +489,28 @@ class DiagnosisPresenter(Presenter[Diagnosis]):
         """The verdict, where the misfit is, what the cause changes, and which trials would help."""
         yield self.say(verdict_sentence(answer), *_verdict_tables(answer), is_answer=True)
         if answer.misfit is not None and answer.misfit.cells:
-            yield _where(answer.misfit)
+            yield self.say(*_where(answer.misfit), is_answer=True)
         # Null where no trial could be held out.
         if answer.gain is not None and answer.gain.rmse_held_out["after"].noise >= 0.0:
-            yield _gain(answer.gain)
-        if answer.under_limits:
-            yield _under_limits(answer.under_limits)
+            yield self.say(*_gain(answer.gain))
+        if answer.under_limits and answer.under_limits[0].price is None:
+            yield self.say(
+                "With limits of plausibility no fit has an equilibrium in every trial. Begin one "
+                "elsewhere with --start."
+            )
+        elif answer.under_limits:
+            yield self.say(*_under_limits(answer.under_limits), is_answer=True)
         if answer.parameters_before is not None:
-            yield _change(answer)
+            yield self.say(*_change(answer))
         if (whichever := _parameters_by_explanation(answer)) is not None:
-            yield whichever
+            yield self.say(*whichever)
         if answer.missing_wrench and answer.verdict is not Verdict.ADEQUATE:
-            yield _missing(answer.missing_wrench)
+            yield self.say(*_missing(answer.missing_wrench))
         if answer.noise is not None:
             yield self.say(answer.noise.sentence)
         if answer.effects:
-            yield _tried(answer.effects, {x.name.partition(".")[0] for x in answer.nuisances})
+            uncertain = {x.name.partition(".")[0] for x in answer.nuisances}
+            yield self.say(*_tried(answer.effects, uncertain))
         if answer.advised_trials:
             advice = "" if answer.advice is None else answer.advice.sentence
             yield Statement(

@@ -31,14 +31,9 @@ def _end(boundary: Boundary, involved: Sequence[str]) -> str:
 
 
 def _combination_words(names: Sequence[str], direction: Array) -> str:
-    named = [
-        (f"{share:+.2f}", label_without_unit(name)) for name, share in shares(names, direction)
-    ]
+    named = (f"{x:+.2f} {label_without_unit(name)}" for name, x in shares(names, direction))
     # Behind a comma the minus has the width of the plus.
-    signed = [
-        (x if k == 0 else x.replace("-", "\u2212"), name) for k, (x, name) in enumerate(named)
-    ]
-    return ", ".join(f"{share} {name}" for share, name in signed)
+    return ", ".join(named).replace(", -", ", \u2212")
 
 
 SCALES = {"typical": "typical steps (3 kN and 2 %)", "prior": "prior standard deviations"}

@@ -88,26 +88,14 @@ def _quantity_sentences(profiles: Sequence[Profile]) -> str:
         ranked = sorted(chosen, key=_width)
         is_open = [x for x in ranked if _width(x) == float("inf")]
         chosen = list(dict.fromkeys([ranked[0], *(is_open or ranked[-1:])]))
-    clauses: list[str] = []
-    before = None
-    for profile in chosen:
-        quantity = profile.name.rpartition(".")[2]
-        is_repeated = quantity == before
-        words = owner_words(profile.name) if is_repeated else parameter_words(profile.name)
-        clauses.append(f"{words} {quantity_clause(profile)}")
-        before = quantity
-    return " ".join(f"{capitalised(x)}." for x in clauses)
-
-
-def priors_statement(profiles: Mapping[str, Profile]) -> Iterator[Statement]:
-    """What the priors of ligament parameters add where the data leave an end open."""
-    if profiles:
-        yield Statement(
-            question=Question.KNOWN,
-            sentence="With the priors of ligament parameters, which are not data, intervals that "
-            "the data leave open have these ends.",
-            tables=(_table(list(profiles.values()), "Profile intervals with priors"),),
-        )
+    kinds = [x.name.rpartition(".")[2] for x in chosen]
+    # Of several of one kind in a row it is named once.
+    words = [
+        owner_words(x.name) if kind == before else parameter_words(x.name)
+        for x, kind, before in zip(chosen, kinds, [None, *kinds[:-1]], strict=True)
+    ]
+    clauses = (f"{x} {quantity_clause(y)}." for x, y in zip(words, chosen, strict=True))
+    return " ".join(map(capitalised, clauses))
 
 
 def quantity_clause(profile: Profile) -> str:
@@ -136,12 +124,13 @@ def quantity_clause(profile: Profile) -> str:
         doubt = "" if profile.doubt is None else f", {profile.doubt.value}"
         ends = f"{amount(low, '')} to {amount(high, unit)}"
         return f"{claim} ±{half} ({ends}{hangs}){doubt}"
-    if low is not None:
-        limits = f"{hangs}{_feasibility_limits(profile)}"
-        return f"has no upper limit (at least {amount(low, unit)}{limits})"
-    if high is not None:
-        limits = f"{hangs}{_feasibility_limits(profile)}"
-        return f"has no lower limit (at most {amount(high, unit)}{limits})"
+    if low is not None or high is not None:
+        end = (
+            f"lower limit (at most {amount(high, unit)}"
+            if low is None
+            else f"upper limit (at least {amount(low, unit)}"
+        )
+        return f"has no {end}{hangs}{_feasibility_limits(profile)})"
     if profile.verdict is ProfileVerdict.STRUCTURALLY_SUSPECT:
         return "is not identifiable, and more data of this kind may not help"
     return f"is not determined: the data bound it on neither side{_feasibility_limits(profile)}"
@@ -293,17 +282,6 @@ def profile_range(profile: Profile) -> Range:
 BATES = "Bates and Watts (1988), Nonlinear Regression Analysis, doi:10.1002/9780470316757"
 
 
-def _thresholds(profiles: Sequence[Profile]) -> dict[float, str]:
-    """By level, the rise of the deviance that bounds the sets, or its range."""
-    found: dict[float, list[float]] = {}
-    for x in profiles:
-        found.setdefault(x.level, []).append(x.threshold)
-    return {
-        level: f"{min(x):.3g}" if min(x) == max(x) else f"{min(x):.3g} to {max(x):.3g}"
-        for level, x in found.items()
-    }
-
-
 class ProfilesPresenter(Presenter[Profiles]):
     """How profiles are shown."""
 
@@ -311,9 +289,13 @@ class ProfilesPresenter(Presenter[Profiles]):
     def statements(self, answer: Profiles) -> Iterator[Statement]:
         """How many quantities are known, then one by one."""
         yield from parameter_statements(tuple(answer.parameters.values()))
-        yield from priors_statement(answer.with_priors)
-        profiles = tuple(answer.quantities.values())
-        if profiles:
+        if answer.with_priors:
+            yield self.say(
+                "With the priors of ligament parameters, which are not data, intervals that the "
+                "data leave open have these ends.",
+                _table([*answer.with_priors.values()], "Profile intervals with priors"),
+            )
+        if profiles := [*answer.quantities.values()]:
             yield self.say(
                 _quantity_sentences(profiles),
                 _table(profiles, "Predictions that the data do not exclude"),
@@ -352,12 +334,13 @@ class ProfilesPresenter(Presenter[Profiles]):
             law = f"{n} simulated data sets"
         elif degrees is not None:
             law = f"the F law with {degrees} degrees of freedom of the noise"
-        for level, limits in _thresholds(profiles).items():
+        for level in dict.fromkeys(x.level for x in profiles):
+            rises = [x.threshold for x in profiles if x.level == level]
+            limits = " to ".join(dict.fromkeys(f"{f(rises):.3g}" for f in (min, max)))
             yield (
                 f"A {100 * level:g} % interval has the values at which the deviance rises by at "
                 f"most {limits}, from {law}."
             )
-
         if settings.get("budget"):
             yield f"At most {settings['budget']} simulations were allowed for each profile."
 

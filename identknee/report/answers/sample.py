@@ -1,6 +1,6 @@
 """What a sample of the posterior says: how probable values are, and whether to rely on it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from typing_extensions import override
@@ -56,18 +56,6 @@ def _thinned(theta: Array) -> Array:
     flat = theta.reshape(-1, theta.shape[-1])
     chosen = np.linspace(0, len(flat) - 1, min(len(flat), MOST_DRAWS)).astype(int)
     return np.asarray(flat[chosen])
-
-
-def _force_ranges(
-    limits: Array, trials: Sequence[str], ligaments: Sequence[str], status: str
-) -> Iterator[tuple[str, Range]]:
-    for i, trial in enumerate(trials):
-        for j, ligament in enumerate(ligaments):
-            low, value, high = limits[:, i, j].tolist()
-            if np.isnan(value):
-                continue
-            own = Range(source=Source.POSTERIOR, low=low, high=high, value=value, status=status)
-            yield f"{ligament}.tension_N@{trial}", own
 
 
 VEHTARI = "Vehtari et al. (2021), Bayesian Anal. 16(2), 667-718, doi:10.1214/20-BA1221"
@@ -249,8 +237,13 @@ class SamplePresenter(Presenter[Sample]):
             draws = tension.reshape(-1, *tension.shape[-2:])
             known = np.isfinite(draws).any(axis=0)
             limits = np.nanquantile(np.where(known, draws, 0.0), TAILS, axis=0)
-            for name, force in _force_ranges(
-                np.where(known, limits, np.nan), trials, ligaments, status
-            ):
+            for i, j in np.argwhere(known).tolist():
+                name = f"{ligaments[j]}.tension_N@{trials[i]}"
                 if name not in marginals:
-                    yield name, force
+                    low, value, high = limits[:, i, j].tolist()
+                    yield (
+                        name,
+                        Range(
+                            source=Source.POSTERIOR, low=low, high=high, value=value, status=status
+                        ),
+                    )

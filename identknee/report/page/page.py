@@ -269,11 +269,7 @@ def _comparison_html(result: Result, number: int) -> Markup:
 def report_tables(results: Sequence[Result]) -> dict[str, tuple[Table, tuple[str, ...]]]:
     """Every table of the page by the name of its file, with what its numbers rest on."""
     found: dict[str, tuple[Table, tuple[str, ...]]] = {}
-    for result in side_by_side(results):
-        said = (y for x in statements_of(result.answer) for y in x.tables)
-        for word, one in named(said).items():
-            found[f"{_file_start(result)}-{word}"] = (one, notes_of([result.answer]))
-    subjects = subject_names(results)
+    subjects, each = subject_names(results), [*side_by_side(results)]
     for name, subject in subjects.items():
         main = [x.answer for x in subject.of_main_data]
         own = f"{file_word(name)}-" if len(subjects) > 1 else ""
@@ -281,16 +277,16 @@ def report_tables(results: Sequence[Result]) -> dict[str, tuple[Table, tuple[str
         whole = {ESTIMATES: estimates_table(seen)}
         # The sets hold only under the condition of the verdict.
         verdict = (seen.verdict,) if seen.verdict else ()
-        fits = _fits_together(subject.merged.results)
-        if fits:
+        merged = subject.merged.results
+        if fits := _fits_together(merged):
             statement = _fits_statement([x.answer for x in fits])
             whole |= {f"fits-{x}": y for x, y in named(statement.tables).items()}
         found |= {f"{own}{x}": (y, (*verdict, *notes_of(main))) for x, y in whole.items() if y.rows}
-        for result in subject.merged.results:
-            said = (y for x in statements_of(result.answer) for y in x.tables)
-            notes = notes_of([result.answer])
-            for word, one in named(said).items():
-                found[f"{_file_start(result)}-{word}"] = (one, notes)
+        each += merged
+    for result in each:
+        said = named(y for x in statements_of(result.answer) for y in x.tables)
+        notes = notes_of([result.answer])
+        found |= {f"{_file_start(result)}-{word}": (x, notes) for word, x in said.items()}
     return found
 
 

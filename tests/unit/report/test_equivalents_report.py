@@ -13,7 +13,7 @@ def test_figures_are_drawn() -> None:
     laxity = {"varus [deg]": generator.normal(size=(6, 9))}
     figure = sets_figure(names, sets, sets.mean(axis=0), laxity)
     assert len(figure.axes) == 2
-    assert figure.axes[0].get_xticklabels()[1].get_text() == "ACL\nreference strain\n[%]"
+    assert figure.axes[0].get_xticklabels()[1].get_text() == "ACL\nreference\nstrain [%]"
     assert png(figure)
     ranges = {"noise": np.array([[0.0, 2.0], [1.0, 5.0]]), "paper": np.array([[0.0, 3.0], [0, 9]])}
     bars = ranges_figure(["first", "second"], np.array([1.0, 2.0]), ranges, unit="tension [N]")

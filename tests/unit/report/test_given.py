@@ -10,7 +10,7 @@ from figure_checks import faults
 import identknee as ik
 from identknee.laxity.table import example_laxity
 from identknee.model.laxity_model import LaxityModel
-from identknee.report.given import shown
+from identknee.report.notebook import shown
 from identknee.runs.notebooks import show_in_notebooks
 
 MEASURED = example_laxity("s192803")

@@ -13,7 +13,7 @@ from identknee.report.opening import opening_of
 from identknee.report.overview import Tone, overview, ranges_of
 from identknee.report.page.page import report_html
 from identknee.report.presenter import Source
-from identknee.report.printer import full_text, short_text
+from identknee.report.printer import short_text
 from identknee.report.results import found_results
 from identknee.runs.findings import Doubt, Finding, Severity, finding
 from identknee.verbs.answer import Answer
@@ -121,10 +121,10 @@ def test_what_was_said_is_not_said_again_but_for_errors() -> None:
 
 def test_texts_of_an_answer_begin_with_it() -> None:
     answer = _profiles(MISFIT, NOTHING_LESS)
-    assert full_text(answer).startswith("The model leaves more misfit than the noise: deviance 102")
+    assert str(answer).startswith("The model leaves more misfit than the noise: deviance 102")
     assert short_text(answer).splitlines()[1].startswith("The model leaves more misfit")
-    assert full_text(answer).count("102.1") == 1
-    assert NOTHING_LESS.line in full_text(answer)
+    assert str(answer).count("102.1") == 1
+    assert NOTHING_LESS.line in str(answer)
 
 
 def test_no_status_beside_a_doubt_is_known() -> None:

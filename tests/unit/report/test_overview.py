@@ -17,6 +17,7 @@ from identknee.report.overview import (
     Tone,
     agreement,
     disagreement,
+    fits_by_start,
     has_better_fit,
     overview,
     ranges_of,
@@ -176,13 +177,13 @@ def test_fits_that_end_elsewhere_are_said_to_disagree(fitted: Calibration) -> No
     near[0], far[1] = 0.1, -3.0
     one = replace(fitted, start="IG1")
     agreeing = [one, moved(fitted, near, "IG2")]
-    assert disagreement(agreeing) == ""
+    assert disagreement(fits_by_start(agreeing)) == ""
     told = " ".join(searches_sentences(agreeing))
     # Alike in all that is said of them: one clause for both.
     assert re.match("The 2 fits .*IG1.*IG2", told)
     assert told.count("IG2") == 1
     apart = moved(fitted, far, "IG2")
-    said = disagreement([one, apart])
+    said = disagreement(fits_by_start([one, apart]))
     value = float(fitted.search.theta[1])
     assert re.search(f"{value:.3g} kN .*IG1.* {value - 3.0:.3g} kN .*IG2", said)
     disagreeing, agreed = (overview(x).verdict for x in ([one, apart], agreeing))
