@@ -203,15 +203,15 @@ def test_a_structure_beside_the_ligaments_has_its_strength_where_the_model_has_i
     knee = ik.reference_knee()
     limits = default_limits([x.name for x in knee.ligaments])
     plain = LimitResiduals(model=LaxityModel(knee=knee, protocol=PROTOCOL), limits=limits)
-    deep = {"deep_mcl.tension_N"}
-    assert not deep & {x.name for x in plain.limits}
-    model = LaxityModel(knee=knee, protocol=PROTOCOL, effects=[effect_named(knee, "deep_mcl")])
+    deep = "deep_mcl.tension_N"
+    assert deep not in {x.name for x in plain.limits}
+    model = LaxityModel(knee=knee, protocol=PROTOCOL, effects=(effect_named(knee, "deep_mcl"),))
     theta = np.array(model.parameters.start)
     theta[model.parameters.index("deep_mcl.stiffness_kN")] = 3.0
     theta[model.parameters.index("deep_mcl.reference_strain_pct")] = 5.0
     found = LimitResiduals(model=model, limits=limits)
-    assert {x.name for x in found.limits} - {x.name for x in plain.limits} == deep
-    k = [x.name for x in found.limits].index(*deep)
+    assert {x.name for x in found.limits} - {x.name for x in plain.limits} == {deep}
+    k = [x.name for x in found.limits].index(deep)
     largest = np.nanmax(structure_values(model, model.predict(theta), "deep_mcl")[0])
     assert 0.0 <= found.values(theta)[k] - largest <= 0.1 * np.log(PROTOCOL.n)
     speaking = _speaking(found, theta)
