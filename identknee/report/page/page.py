@@ -65,6 +65,8 @@ from identknee.verbs.registry import verbs
 AFTER_FIT = ("profile", "diagnose", "design")
 # Rows of the table that are not folded: with a picture beside them they take one screen.
 MOST_ROWS = 14
+# Rows of a table of fitted parameters that is not one click away.
+MOST_FITTED = 30
 
 
 @declared
@@ -79,6 +81,7 @@ class Lead:
     folded: tuple[Row, ...] = entry("Its rows that are one click away")
     ranges: Table = entry("What each method says where they differ")
     picture: Markup = entry("Measured and simulated laxity; empty where there is none")
+    fitted: tuple[Table, ...] = entry("Parameters of the one fit, where no other verb says them")
     step: tuple[str, str] | None = entry(
         "A question that is open and its command, where no other step is advised"
     )
@@ -88,6 +91,7 @@ def lead_of(
     found: Overview,
     cautions: Sequence[Finding],
     picture: Markup,
+    fitted: Sequence[Table],
     further: Sequence[tuple[str, str]],
 ) -> Lead:
     """The first screens of a page.
@@ -100,6 +104,8 @@ def lead_of(
         Findings that the sentences before the verdict do not say, the most severe first.
     picture
         Measured and simulated laxity; empty where there is none.
+    fitted
+        The parameters of fits.
     further
         Questions that no result answers with their commands.
     """
@@ -124,6 +130,7 @@ def lead_of(
             ((x.label, x.agreement) for x in found.rows if x.agreement != x.found.brief()),
         ),
         picture=picture,
+        fitted=() if found.rows else tuple(x for x in fitted if len(x.rows) <= MOST_FITTED),
         step=None if is_advised else _step(found, further),
     )
 
@@ -323,7 +330,9 @@ def _subject_html(findings: Findings, number: int, level: int, scene: KneeScene 
     figures = _figures(merged, number)
     picture = Markup("").join(x for x, _ in figures.pop(None, []))
     further = _further_commands(findings)
-    lead = lead_of(main, cautions, picture, further)
+    fits = of_type((x.answer for x in findings.results), Calibration)
+    fitted = main_statements(fits[0])[0].tables[:1] if len(fits) == 1 else ()
+    lead = lead_of(main, cautions, picture, fitted, further)
     made = [
         ("answer", "The answer", parts().lead(lead, f"findings-{number}", level)),
         ("findings", "More findings", parts().findings(lead.below)),

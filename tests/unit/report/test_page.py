@@ -27,6 +27,7 @@ from identknee.report.overview import overview
 from identknee.report.page.markup import parts
 from identknee.report.page.page import MOST_ROWS, lead_of, report_drawings, report_html
 from identknee.report.page.viewer import scene_of
+from identknee.report.presenter import Column, Table
 from identknee.report.results import by_subject, found_results
 from identknee.runs.errors import InputError
 from identknee.subject.knee import Knee
@@ -193,7 +194,7 @@ def test_rows_beyond_a_screen_are_folded_in_their_order() -> None:
     (row, *_) = overview([answered(FRAME)]).rows
     rows = tuple(replace(row, label=f"row {k}") for k in range(MOST_ROWS + 3))
     found = replace(overview([answered(FRAME)]), rows=rows)
-    lead = lead_of(found, [], Markup(""), [])
+    lead = lead_of(found, [], Markup(""), [], [])
     assert [x.label for x in (*lead.rows, *lead.folded)] == [x.label for x in rows]
     assert len(lead.folded) == 3
     html = str(parts().lead(lead, "findings-1", 2))
@@ -203,13 +204,23 @@ def test_rows_beyond_a_screen_are_folded_in_their_order() -> None:
 def test_a_step_is_shown_where_none_is_advised() -> None:
     found = overview([untestable("Silence.")])
     fit, profile = (("Why?", f"identknee {x} knee table.csv") for x in ("fit", "profile"))
-    assert lead_of(found, [], Markup(""), [fit, profile]).step == fit
+    assert lead_of(found, [], Markup(""), [], [fit, profile]).step == fit
     # What was fitted is asked how well it is known.
     fitted = replace(found, searches=("The fit ended.",))
-    assert lead_of(fitted, [], Markup(""), [fit, profile]).step == profile
-    assert lead_of(fitted, [], Markup(""), [fit]).step == fit
+    assert lead_of(fitted, [], Markup(""), [], [fit, profile]).step == profile
+    assert lead_of(fitted, [], Markup(""), [], [fit]).step == fit
     advised = replace(found, next_tests=("Pull harder.",))
-    assert lead_of(advised, [], Markup(""), [fit]).step is None
+    assert lead_of(advised, [], Markup(""), [], [fit]).step is None
+
+
+def test_a_fit_alone_says_its_parameters_at_once() -> None:
+    given = Table(title="Fitted parameters", columns=(Column("parameter"),), rows=(("ACL",),))
+    fitted = replace(overview([untestable("Silence.")]), rows=(), searches=("The fit ended.",))
+    lead = lead_of(fitted, [], Markup(""), [given], [])
+    assert str(parts().lead(lead, "findings-1", 2)).count("Fitted parameters</caption>") == 1
+    others = replace(overview([answered(FRAME)]), searches=("The fit ended.",))
+    assert others.rows
+    assert lead_of(others, [], Markup(""), [given], []).fitted == ()
 
 
 def test_a_page_of_a_simulation_begins_with_what_it_says() -> None:
