@@ -211,7 +211,7 @@ def default_limits(ligaments: Sequence[str], donor_age: float | None = None) -> 
 
     Examples
     --------
-    >>> [x.name for x in default_limits(["MCL"])][:2]
+    >>> [x.name for x in default_limits(["MCL"])][::4]
     ['MCL.tension_N', 'MCL.strain_pct']
     """
     return tuple(_default_limits(ligaments, donor_age))
