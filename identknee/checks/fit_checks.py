@@ -673,17 +673,13 @@ def strength_tensions(model: LaxityModel, prediction: Prediction) -> dict[str, S
     Lines whose names begin with that of the ligament are added up. Structures that effects add have
     the strengths of ligaments of other names.
     """
-    ligaments = [x.name for x in model.knee.ligaments]
-    known = strengths_by_name(model.knee.donor_age)
-    parts = {x: [y for y in ligaments if y.startswith(x)] for x in known}
-    for name in (x for x in structure_names(model) if x in OTHER_NAMES):
-        strength = next((known[x] for x in OTHER_NAMES[name] if x in known), None)
-        if strength is not None:
-            known[name], parts[name] = strength, [name]
+    added = (x for x in structure_names(model) if x in OTHER_NAMES)
+    names = dict.fromkeys([*(x.name for x in model.knee.ligaments), *added])
     found = {}
-    for name, (failure, _, source) in known.items():
-        if parts[name]:
-            tension = values_of_structures(model, prediction, parts[name])[0].sum(axis=1)
+    for name, (failure, _, source) in strengths_by_name(model.knee.donor_age).items():
+        own = [x for x in names if x.startswith(name)]
+        if own:
+            tension = values_of_structures(model, prediction, own)[0].sum(axis=1)
             found[name] = StrengthTension(tension=tension, failure_N=failure, source=source)
     return found
 

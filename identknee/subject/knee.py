@@ -21,7 +21,13 @@ from identknee.runs.declare import (
 from identknee.runs.errors import ValueRefused, suggestion
 from identknee.runs.words import amount, unit_of
 from identknee.subject.ligament import Ligament, LigamentGroup, check_groups
-from identknee.subject.plausibility import Limits, PlausibleLike, default_limits, plausible_limits
+from identknee.subject.plausibility import (
+    OTHER_NAMES,
+    Limits,
+    PlausibleLike,
+    default_limits,
+    plausible_limits,
+)
 from identknee.subject.surface import Surface
 
 BONES, AXES = ("femur", "tibia"), ("x", "y", "z")
@@ -814,6 +820,16 @@ class Knee:
             return self
         usual = default_limits([x.name for x in self.ligaments], self.donor_age)
         return replace(self, plausibility=plausible_limits(asked, self.limits or usual))
+
+    @property
+    def counted_limits(self) -> Limits:
+        """Its limits but for those of structures that it does not have, known or unknown."""
+        own = {*(x.name for x in self.ligaments), *(x.name for x in self.effects)}
+        return tuple(
+            x
+            for x in self.plausibility
+            if x.owner not in OTHER_NAMES or x.owner in own or self.uncertainty.structures
+        )
 
     def in_scan_frame(self, points: Array) -> Array:
         """Points of the common frame [mm], shape ``(..., 3)``, where the scan has them, or back.

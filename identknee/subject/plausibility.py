@@ -220,20 +220,15 @@ def default_limits(ligaments: Sequence[str], donor_age: float | None = None) -> 
 def _default_limits(ligaments: Sequence[str], donor_age: float | None) -> Iterator[Limit]:
     strengths = strengths_by_name(donor_age)
     for name, (mean, sd, source) in strengths.items():
-        if any(x.startswith(name) for x in ligaments):
+        others = OTHER_NAMES.get(name)
+        # A structure beside the ligaments may be added to any model whose ligaments lack it.
+        if any(x.startswith(others or name) for x in ligaments) == (others is None):
             yield Limit(
                 form="strength",
                 quantity=f"{name}.{TENSION}",
                 size=mean,
                 spread=sd,
                 source=source,
-            )
-    for name, others in OTHER_NAMES.items():
-        known = [strengths[x] for x in others if x in strengths]
-        if known and not any(x.startswith(others) for x in ligaments):
-            mean, sd, source = known[0]
-            yield Limit(
-                form="strength", quantity=f"{name}.{TENSION}", size=mean, spread=sd, source=source
             )
     named = [next((k for k in strengths if x.startswith(k)), x) for x in ligaments]
     for name in dict.fromkeys(named):
@@ -257,8 +252,15 @@ def _default_limits(ligaments: Sequence[str], donor_age: float | None) -> Iterat
 
 
 def strengths_by_name(donor_age: float | None = None) -> dict[str, tuple[float, float, str]]:
-    """Mean strength [N], standard deviation and source, by how the names of ligaments begin."""
-    return {ACL: (*acl_strength(donor_age), WOO), **STRENGTHS}
+    """Mean strength [N], standard deviation and source, by how the names of ligaments begin.
+
+    Structures of the library have those of ligaments with their other names.
+    """
+    known = {ACL: (*acl_strength(donor_age), WOO), **STRENGTHS}
+    structures = {
+        name: known[x] for name, others in OTHER_NAMES.items() for x in others if x in known
+    }
+    return {**known, **structures}
 
 
 def acl_strength(donor_age: float | None) -> tuple[float, float]:

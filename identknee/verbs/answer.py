@@ -114,7 +114,7 @@ def question(verb: str, knee: Knee, asked: TrialsAsked, arguments: Mapping[str, 
         fixed=tuple(arguments.get("fixed") or ()),
         bounds={**knee.bounds, **bounds_of(arguments.get("bounds"))},
         uncertainty=knee.uncertainty.words,
-        plausibility=tuple(x.name for x in knee.plausibility),
+        plausibility=tuple(x.name for x in knee.counted_limits),
         discrepancy=discrepancy_of(arguments.get("discrepancy", "none")),
     )
 

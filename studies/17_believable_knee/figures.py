@@ -15,7 +15,7 @@ from scores import difference, rms, scores, within
 
 import identknee as ik
 from identknee.model.effects.facts import cause_label
-from identknee.subject.plausibility import default_limits
+from identknee.subject.plausibility import strengths_by_name
 
 NAMES = {"s192803": "four lines", "s192803_bundles": "14 bundles"}
 LINES = "s192803"
@@ -177,7 +177,7 @@ def unknown_table(record: Row) -> ik.report.Table:
     """What structures that are nuisances became, without and with limits."""
     fits = record["knees"][LINES]["structures_unknown"]
     limited = of(record, LINES, "structures_unknown", variant=WITH_UNKNOWN)
-    strengths = {x.name: x.size for x in default_limits([])}
+    strengths = {name: mean for name, (mean, _, _) in strengths_by_name().items()}
     rows: list[tuple[Cell, ...]] = [
         (
             cause_label(name),
@@ -189,7 +189,7 @@ def unknown_table(record: Row) -> ik.report.Table:
                     max(v or 0.0 for v in x["added_N"][name]),
                 )
             ),
-            strengths.get(f"{name}.tension_N"),
+            strengths.get(name),
         )
         for name in limited["added_N"]
     ]

@@ -8,7 +8,14 @@ import pytest
 import identknee as ik
 from identknee.runs.errors import InputError, ValueRefused
 from identknee.subject.folder import read_subject, write_subject
-from identknee.subject.plausibility import Limit, acl_strength, default_limits, read_limits
+from identknee.subject.knee import Uncertainty
+from identknee.subject.plausibility import (
+    OTHER_NAMES,
+    Limit,
+    acl_strength,
+    default_limits,
+    read_limits,
+)
 
 FILE = """
 [[plausibility]]
@@ -137,3 +144,11 @@ def test_a_name_says_what_is_limited_and_where() -> None:
     )
     assert limit.name == "contact.medial_N - contact.lateral_N, nearly unloaded"
     assert limit.unit == "N"
+
+
+def test_limits_of_structures_count_where_the_knee_has_them() -> None:
+    knee = ik.reference_knee().with_plausibility("default")
+    assert "deep_mcl.tension_N" in {x.name for x in knee.plausibility}
+    assert not {x.owner for x in knee.counted_limits} & {*OTHER_NAMES}
+    unknown = knee.with_uncertainty(Uncertainty(structures=1.0))
+    assert unknown.counted_limits == knee.plausibility
