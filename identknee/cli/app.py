@@ -247,7 +247,22 @@ class WaitingCommand(typer.core.TyperCommand):
     @override
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """The context of the command itself, which is made here."""
-        return command_of(self.verb).make_context(*args, **kwargs)
+        try:
+            return command_of(self.verb).make_context(*args, **kwargs)
+        except Exception as error:
+            # Typer keeps the class of this error to itself.
+            unknown: Any = error
+            if others := _verbs_with(getattr(unknown, "option_name", "")):
+                unknown.message += f". It is an option of {others}."
+            raise
+
+
+def _verbs_with(option: str) -> str:
+    """Names of the verbs that have an option; empty if none has."""
+    from identknee.verbs.options import parameters_in_full
+
+    name = option.removeprefix("--").replace("-", "_")
+    return ", ".join(x.name for x in verbs() if x.summary and name in parameters_in_full(x.call))
 
 
 def command_of(verb: Verb) -> typer.core.TyperCommand:

@@ -460,6 +460,13 @@ def _column_remedy(name: str, known: tuple[str, ...]) -> str:
     """The closest known column, or how to name one; a different unit changes its values too."""
     remedy, quantity = suggestion(name, known), name.rpartition("_")[0]
     close = closest(name, known)
+    found = LIGAMENT_FORCE.fullmatch(name)
+    if found and name.lower() != close.lower():
+        own, factor = f"{found[1]}_tension_N", 1000 if found[2] else 1
+        return (
+            f"A ligament's tension is read from the columns {own} and sd_{own}. For the first, "
+            f"begin the file: # column: {own} = {factor} * {name}"
+        )
     if re.match(r"t(ime)?($|[_\W])", name, re.IGNORECASE):
         return f"To read a series, write with the factor to seconds: # column: {TIME} = 1 * {name}"
     if not close:
@@ -470,6 +477,8 @@ def _column_remedy(name: str, known: tuple[str, ...]) -> str:
 
 
 TIME = "time_s"
+# A column named after a ligament, whose name has at least two capitals as in ACL or dMCL.
+LIGAMENT_FORCE = re.compile(r"(\w*[A-Z]\w*[A-Z]\w*?)[._](?i:tension|force|load)(?:[._](k?)N)?")
 LEVELS = (50.0, 100.0)  # % of the load that every ramp reaches
 # A load reverses where it goes back by this share of its range; less is sensor noise.
 TURN = 0.2

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from cli_runs import refused
+from cli_runs import refused, run
 from golden_texts import Golden
 
 MISTAKES = (
@@ -34,3 +34,10 @@ def test_a_file_that_is_no_text_leaves_the_terminal_alone(tmp_path: Path) -> Non
     (tmp_path / "data.csv").write_bytes(b"\x07\x1b[31m\x00,b\n1,2\n")
     sentence = refused("fit", "reference", tmp_path / "data.csv", "--out", tmp_path / "fit")
     assert sentence.isprintable()
+
+
+def test_the_verbs_that_have_an_unknown_option_are_named() -> None:
+    found = run("fit", "reference", "data.csv", "--n-starts", "3")
+    assert found.exit_code == 2
+    assert " sweep" in found.stderr
+    assert " sweep" not in run("fit", "reference", "data.csv", "--n-startings", "3").stderr

@@ -265,6 +265,21 @@ def test_no_translation_of_a_knee_is_longer_than_a_hand(tmp_path: Path) -> None:
             ),
         ),
         (
+            "trial,flexion_deg,varus_deg,dMCL_force_kN\na,30,1,0.1",
+            (
+                ", row 1, column dMCL_force_kN: this column is unknown. A ligament's tension is "
+                "read from the columns dMCL_tension_N and sd_dMCL_tension_N. For the first, begin "
+                "the file: # column: dMCL_tension_N = 1000 * dMCL_force_kN"
+            ),
+        ),
+        (
+            "trial,flexion_deg,ANTERIOR_FORCE_N,varus_deg\na,30,1,1",
+            (
+                ", row 1, column ANTERIOR_FORCE_N: this column is unknown. "
+                "Did you mean anterior_force_N?"
+            ),
+        ),
+        (
             "trial,varus_deg\na,1",
             ", row 1, column flexion_deg: this column is missing. Add it; every row needs it.",
         ),
