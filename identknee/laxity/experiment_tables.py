@@ -21,6 +21,7 @@ from identknee.laxity.forces import (
 )
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import Protocol
+from identknee.laxity.named_tables import TABLES
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
 from identknee.runs.declare import Array
 from identknee.runs.errors import InputError, ValueRefused
@@ -151,7 +152,9 @@ def _of_file(path: Path) -> Laxity:
                 uncertainty=rig.uncertainty,
                 side=x.side,
             )
-            table = _in_state(read_laxity(path.parent / x.table), x.state)
+            # A named table is none of the folder's.
+            source = x.table if x.table in TABLES else path.parent / x.table
+            table = _in_state(read_laxity(source), x.state)
             tables.append((experiment, _with_noise(table, noises.get(x.rig))))
         except ValueRefused as error:
             raise InputError(path, place, error.why, error.advice) from None

@@ -495,11 +495,12 @@ def _row(name: str, ranges: Sequence[Range], trials: Mapping[str, str]) -> Row:
     main = found.main
     owner, _, trial = name.partition(FORCE)
     is_slack = FORCE in name and main.low == main.high == 0.0
+    limits = "slack" if is_slack else interval((main.low, main.high), unit)
     return Row(
         name=name,
         label=f"{owner} force, {trials.get(trial, trial)}" if trial else label_without_unit(name),
         estimate=amount(main.value, unit),
-        limits="slack" if is_slack else interval((main.low, main.high), unit),
+        limits=limits if main.reach == 1.0 else f"{limits} (not a 95 % set)",
         status=main.status,
         agreement=found.sentence(unit),
         found=found,

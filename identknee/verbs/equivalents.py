@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Unpack
 
 import numpy as np
 
-from identknee.calibrate.fit import fit
+from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import Quantity, RestrictedQuantity, restricted, with_bounds
 from identknee.checks.usable_trials import residuals_of
 from identknee.identify.equivalents import EquivalentSets
@@ -18,6 +18,7 @@ from identknee.model.quantities import force_names, quantity_named
 from identknee.model.residuals import LaxityResiduals, largest_loads, rms_blocks
 from identknee.runs.declare import OF_COORDINATE, OF_PARAMETER, Array, array, declared, entry
 from identknee.runs.progress import planned
+from identknee.runs.words import amount, parameter_words, unit_of
 from identknee.verbs import options
 from identknee.verbs.answer import Answer, has_priors
 from identknee.verbs.identification import Identification, identification
@@ -146,7 +147,7 @@ def equivalents(
     setup, fits = marginalise_nuisances(setup, seed=seed, executor=run.executor)
     predictions = _predictions(setup, quantities or (), forces, asked)
     run.start_clock()
-    # Marginalised nuisances move the optimum a little.
+    # Marginalised nuisances move the optimum.
     is_asked = fits[0].parameters.is_of_interest
     best = fit(setup.problem, fits[0].theta[is_asked])
     region = _region(setup, criterion, best.theta, limit, bounds=bounds)
@@ -183,7 +184,7 @@ def equivalents(
         ligaments=tuple(x.name for x in model.knee.ligaments),
         coordinates=np.array([x.coordinates for x in simulated]),
         tension_N=np.array([tensions_of(model, x) for x in simulated]),
-        assumptions=setup.assumptions,
+        assumptions=(*setup.assumptions, *_moved(setup, best)),
         **setup.uncertain_at(best.theta),
         findings=setup.findings_at(best.theta, 2.0 * best.objective),
     )
@@ -203,6 +204,27 @@ def _region(
         blocks=rms_blocks(plain),
         limit=limit,
     )
+
+
+def _moved(setup: Identification, best: Fit) -> tuple[str, ...]:
+    """Which parameter marginalised nuisances move most from the fit, as a sentence; none without.
+
+    The start of the search is the fit with nuisances among its parameters.
+    """
+    if setup.nuisances_at is None:
+        return ()
+    p = best.parameters
+    apart = np.where(p.is_log, np.log(best.theta / best.start), best.theta - best.start)
+    k = int(np.argmax(np.abs(apart / p.prior_sd)))
+    name, unit = p.names[k], unit_of(p.names[k])
+    here, before = amount(best.theta[k], unit), amount(best.start[k], unit)
+    if here == before:
+        return ()
+    sentence = (
+        "The column fit holds the best parameters with these errors marginalised, in which "
+        f"{parameter_words(name)} is {here}; the best fit with the errors themselves has {before}."
+    )
+    return (sentence,)
 
 
 def _predictions(

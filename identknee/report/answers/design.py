@@ -151,7 +151,7 @@ def single_step_statements(answer: Design) -> Iterator[Statement]:
 def _step_words(answer: Design, row: Mapping[str, Any]) -> str:
     name, choice = row["name"], answer.choice
     if row["kind"] == "trial":
-        return f"one more {_trial(answer, name)}"
+        return f"one more trial: {_trial(answer, name)}"
     if row["kind"] == "error":
         return f"{error_words(name)} known twice as well"
     step = next(x for x in choice.steps if x.name == name)

@@ -190,7 +190,9 @@ def report_html(results: Sequence[Result], scenes: Mapping[str, KneeScene] | Non
     done = ", ".join(dict.fromkeys(x.verb for x in results))
     days = sorted({x.record.started[:10] for x in results})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    lead = f"From {done}, computed {when}. Every sentence links to its numbers."
+    stated = _stated_words(subjects[0]) if len(subjects) == 1 else ""
+    asked = f"{done} ({stated})" if stated else done
+    lead = f"From {asked}, computed {when}. Every sentence links to its numbers."
     maker = f"Made by identknee {versions().get('identknee', '')}".rstrip()
     return document(
         title, parts().body(title, lead, compared, parts_by_name, maker), has_viewer=bool(shown)

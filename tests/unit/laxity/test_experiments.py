@@ -144,6 +144,13 @@ def test_experiments_toml_says_rig_mounting_state_and_noise(tmp_path: Path) -> N
     assert laxity.protocol.state == ("intact",) * 9 + ("cut: ACL",) * 9 + ("intact",) * 9
 
 
+def test_an_experiment_may_be_a_table_that_comes_with_identknee(tmp_path: Path) -> None:
+    path = tmp_path / "experiments.toml"
+    path.write_text('[[experiments]]\nname = "robot"\ntable = "s192803"\n')
+    named = ik.read_laxity("s192803")
+    np.testing.assert_array_equal(read_experiments(path).coordinates, named.coordinates)
+
+
 WRONG = {
     "the rig of no experiment": ("[rigs.other]\n", "other"),
     "an error of the knee": ("[rigs.rig.uncertainty]\ninsertions_mm = 2.0\n", "insertions_mm"),
