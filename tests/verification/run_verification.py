@@ -41,6 +41,7 @@ MODULES = {
     "unlisted_causes": "verify_verdicts",
     "one_cause": "verify_verdicts",
     "measured_knee": "verify_measured_knee",
+    "measured_ends": "verify_measured_ends",
     "priors": "verify_priors",
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
