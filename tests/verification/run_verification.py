@@ -42,6 +42,7 @@ MODULES = {
     "one_cause": "verify_verdicts",
     "measured_knee": "verify_measured_knee",
     "measured_ends": "verify_measured_ends",
+    "interval_pairs": "verify_interval_pairs",
     "priors": "verify_priors",
     "lowest_fit": "verify_lowest_fit",
     "experiments": "verify_experiments",
