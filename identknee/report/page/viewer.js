@@ -10,7 +10,9 @@
   const SECONDS = 0.9; // a trial, while it plays
   const APART = -0.4; // mm; the depth of a place for which none was sent
   const BEYOND = 5; // mm from the end of a line to its name
-  const NAME = 8; // mm between names
+  const NAME = 7; // mm from one name down to the next
+  const LETTER = 2.0; // mm, the width of a letter
+  const TRIES = 12;
   const POSITION = [
     ["lateral shift", "mm"],
     ["anterior drawer", "mm"],
@@ -159,10 +161,16 @@
       const [start, end] = course(trial, line).slice(-2);
       const along = unit(end.map((x, i) => x - start[i]));
       const at = (away) => end.map((value, i) => value + away * along[i]);
-      // Bundles insert side by side: the name of the next one stands beyond that of the first.
+      // Lines insert side by side: the name of the next one stands beyond that of the first. Views
+      // turn about the vertical, so names must not share a height where they may lie side by side.
+      const meets = (own) => taken.some(({ place, letters }) => {
+        const [anterior, superior, lateral] = own.map((x, i) => x - place[i]);
+        const isBeside = Math.hypot(anterior, lateral) < LETTER * 0.5 * (letters + name.length);
+        return Math.abs(superior) < NAME && isBeside;
+      });
       let away = BEYOND;
-      while (taken.some((x) => Math.hypot(...at(away).map((y, i) => y - x[i])) < NAME)) away += NAME;
-      taken.push(at(away));
+      for (let k = 0; k < TRIES && meets(at(away)); k += 1) away += NAME;
+      taken.push({ place: at(away), letters: name.length });
       return {
         ...plotted(at(away)),
         text: name, showarrow: false, font: { color: colours.ink, size: 13 },
