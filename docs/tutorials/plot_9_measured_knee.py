@@ -76,7 +76,7 @@ print(sorted(x.name for x in folder.iterdir()))
 #     ik.diagnose(knee, data, noise="1mm,1deg",
 #                 uncertain="registration=4deg,registration=4mm,insertions=4mm")
 #
-# In study 15 this call finds seven causes that fit, a rotated frame of the tibia first, and advises
-# the trials that tell them apart. On the command line the fit above is
+# In study 15 this call finds a misfit that no cause of its library explains, and an unknown line of
+# action on the lateral side that comes nearest. On the command line the fit above is
 # ``identknee fit s192803 s192803 --uncertain registration=4deg,registration=4mm --priors``, which
 # begins at all 17 points.

@@ -130,7 +130,8 @@ def fitted(task: Row) -> Row:
     found = ik.fit(
         task["knee"], table(), uncertain=UNCERTAIN[task["uncertain"]], noise=task.get("noise")
     )
-    return {**ended(found), "doubts": doubts(found)}
+    one_sided = any(x.code == "one-sided-contact" for x in found.findings)
+    return {**ended(found), "doubts": doubts(found), "one_sided_contact": one_sided}
 
 
 def held_out(task: Row) -> Row:

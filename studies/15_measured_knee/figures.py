@@ -89,7 +89,7 @@ def fits_table(record: Row) -> ik.report.Table:
             f"{x['trials_used']} of 24",
             *(_of(x["rmse"], name) for name in JUDGED),
             x["outcome"],
-            "yes" if any("one side alone" in doubt for doubt in x["doubts"]) else "no",
+            "yes" if x["one_sided_contact"] else "no",
         )
         for x in parts(record, "fit")
     ]

@@ -55,7 +55,6 @@ SUPERSEDED = {
     "07_global_sensitivity",
     "09_optimizers",
     "12_geometry_uncertainty",
-    "15_measured_knee",
 }
 
 
