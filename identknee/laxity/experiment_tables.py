@@ -19,9 +19,9 @@ from identknee.laxity.forces import (
     read_superposition,
     with_named_paths,
 )
+from identknee.laxity.named_tables import TABLES
 from identknee.laxity.noise import noise_sizes
 from identknee.laxity.protocol import Protocol
-from identknee.laxity.named_tables import TABLES
 from identknee.laxity.table import ROTATIONS, TRANSLATIONS, Laxity, read_laxity
 from identknee.runs.declare import Array
 from identknee.runs.errors import InputError, ValueRefused
