@@ -86,6 +86,8 @@ class MeshError(Exception):
 # Byte-order mark of UTF-8 text, and the first bytes of files that may follow it.
 MARK = b"\xef\xbb\xbf"
 BEGINNINGS = (b"solid", b"ply", b"#", b"v ", b"o ", b"g ", b"mtllib", b"<")
+# Files that hold others.
+PACKED = {b"\x1f\x8b": ".gz", b"PK\x03\x04": ".zip"}
 _OBJ_LINE = re.compile(rb"(v|o|g|mtllib|usemtl)[ \t]+[^\s\x00]")
 
 
@@ -101,6 +103,7 @@ def _check_kind(file: Path, data: bytes) -> None:
     if held and held != file.suffix.lower():
         said = f"it holds {'an' if held[1] in 'os' else 'a'} {held[1:].upper()} file"
         remedy = f"Call it {file.stem}{held}." if held in PARSERS else EXPORT_AGAIN
+        remedy = "Unpack it." if held in PACKED.values() else remedy
         raise MeshError(f"{said}, whatever its name says", remedy=remedy)
 
 
@@ -113,6 +116,8 @@ def kind_of(data: bytes) -> str:
     ('.off', '.obj', '')
     """
     start = data[:2048]
+    if packed := next((x for begin, x in PACKED.items() if data.startswith(begin)), ""):
+        return packed
     if start.startswith(b"ply") and b"format" in start:
         return ".ply"
     if b"<VTKFile" in start:
@@ -139,47 +144,54 @@ STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "
 
 def _stl(data: bytes) -> RawMesh:
     counted = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else -1
-    # Many programs begin binary files with the word of text files, too.
-    is_text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2048].lower()
+    # Many programs begin binary files with the word of text files, too; no text has a zero byte.
+    is_text = b"\0" not in data[:2048]
     if is_text and len(data) != STL_HEADER + STL_TRIANGLE * counted:
         return _text_stl(data)
     if counted < 0:
         raise MeshError("it is too short for an STL file, and does not begin with solid")
     whole, rest = divmod(len(data) - STL_HEADER, STL_TRIANGLE)
-    n, remarks = counted, []
+    said = f"its header counts {_numbered(counted, 'triangle')}"
     if counted > whole and rest:
-        raise MeshError(
-            f"its header counts {counted} triangles, but the file ends within the {whole + 1}th"
-        )
+        raise MeshError(f"{said}, but the file ends within triangle {whole + 1}")
+    if whole == 0:
+        raise MeshError(f"there is no triangle in it, and {said}")
     rows = np.frombuffer(data, STL_ROW, whole, STL_HEADER)
-    if counted > whole or (counted < whole and not rest and _are_triangles(rows, counted)):
-        n = whole
-        cut = ": the count is wrong, or the file was cut off" if counted > whole else ""
-        said = f"its header counts {_numbered(counted, 'triangle')}, {whole} are there{cut}"
-        remarks.append(said)
-    elif (after := len(data) - STL_HEADER - STL_TRIANGLE * counted) > 0:
+    n, remarks = _n_triangles(rows, counted), []
+    if n != counted:
+        cut = ": the count is wrong, or the file was cut off" if counted > n else ""
+        remarks.append(f"{said}, {n} are there{cut}")
+    if (after := len(data) - STL_HEADER - STL_TRIANGLE * n) > 0:
         remarks.append(f"{_numbered(after, 'byte')} after the last triangle are not read")
     corners = rows["corners"][:n].reshape(-1, 3).astype(float)
     return RawMesh(vertices=corners, faces=np.arange(3 * n).reshape(-1, 3), remarks=tuple(remarks))
 
 
-def _are_triangles(rows: Any, counted: int) -> bool:
-    """Whether what follows the triangles that are counted is of the same mesh."""
+def _n_triangles(rows: Any, counted: int) -> int:
+    """Number of rows that are triangles: those counted, and later ones if all are of their mesh.
+
+    Rows at the end whose corners are one point, such as zeros, fill the file up.
+    """
     corners = rows["corners"]
-    if counted == 0:
-        return True
+    is_triangle = (corners != corners[:, :1]).any(axis=(1, 2))
+    n = int(np.max(np.flatnonzero(is_triangle), initial=-1)) + 1
+    if counted >= n or counted == 0:
+        return min(max(n, counted), len(rows))
     with np.errstate(all="ignore"):
         low = np.nanmin(corners[:counted], axis=(0, 1))
         size = np.nanmax(corners[:counted], axis=(0, 1)) - low
         margin = size.max()
-        later = corners[counted:]
-        return bool(np.all((later >= low - margin) & (later <= low + size + margin)))
+        later = corners[counted:n]
+        is_of_mesh = np.all((later >= low - margin) & (later <= low + size + margin))
+    return n if is_of_mesh else counted
 
 
 def _text_stl(data: bytes) -> RawMesh:
     words = data.decode("utf-8", "replace").lower().split()
     at = [i for i, x in enumerate(words) if x == "vertex"]
     n, ended = words.count("endloop"), words.count("endfacet")
+    if not any(x in words for x in ("solid", "facet")):
+        raise MeshError("it is neither a binary STL file nor a text that begins with solid")
     if len(at) != 3 * n or n != ended:
         raise MeshError(
             f"it has {_numbered(len(at), 'corner')} for {_numbered(ended, 'whole facet')}: it is "

@@ -1,6 +1,7 @@
 """A mesh with a fault is read as the mesh without it, or refused for that fault."""
 
 import base64
+import gzip
 import lzma
 import struct
 import zlib
@@ -136,7 +137,13 @@ def test_a_wrong_count_in_an_stl_file(tmp_path: Path, clean: Surface, counted: i
 
 @pytest.mark.parametrize(
     "more",
-    [bytes(17), bytes(50), bytes(1), b"made by a scanner, all rights reserved and more words"],
+    [
+        bytes(17),
+        bytes(50),
+        bytes(117),
+        bytes(1),
+        b"made by a scanner, all rights reserved, and more",
+    ],
 )
 def test_bytes_after_the_last_triangle(tmp_path: Path, clean: Surface, more: bytes) -> None:
     (tmp_path / "a.stl").write_bytes(binary_stl(clean))
@@ -309,3 +316,46 @@ def test_a_count_that_is_too_large_may_be_a_file_cut_off(tmp_path: Path, clean: 
     (tmp_path / "a.stl").write_bytes(binary_stl(clean)[: -50 * 9])
     (clause,) = read_surface(tmp_path / "a.stl").repairs.clauses
     assert "or the file was cut off" in clause
+
+
+@pytest.mark.parametrize("counted", [-3, -40, 0])
+@pytest.mark.parametrize("more", [bytes(17), bytes(100)])
+def test_triangles_beyond_a_count_too_small_are_read_before_trailing_bytes(
+    tmp_path: Path, clean: Surface, counted: int, more: bytes
+) -> None:
+    n = len(clean.faces)
+    stated = n + counted if counted else 0
+    (tmp_path / "a.stl").write_bytes(binary_stl(clean))
+    (tmp_path / "b.stl").write_bytes(binary_stl(clean, counted=stated, more=more))
+    sound, found = (read_surface(tmp_path / x) for x in ("a.stl", "b.stl"))
+    np.testing.assert_array_equal(found.faces, sound.faces)
+    assert len(found.repairs.clauses) == 2
+
+
+def test_a_binary_stl_file_whose_header_has_words_of_a_text(tmp_path: Path, clean: Surface) -> None:
+    data = binary_stl(clean, more=bytes(17))
+    (tmp_path / "a.stl").write_bytes(b"solid with facet normal".ljust(80) + data[80:])
+    assert len(read_surface(tmp_path / "a.stl").faces) == len(clean.faces)
+
+
+@pytest.mark.parametrize("before", [b"solid " + b"name" * 600 + b"\n", b"# made by hand\n"])
+def test_a_text_stl_file_is_one_whatever_stands_above_it(
+    tmp_path: Path, clean: Surface, before: bytes
+) -> None:
+    (tmp_path / "a.stl").write_bytes(before + _text_stl(clean).encode())
+    assert len(read_surface(tmp_path / "a.stl").faces) == len(clean.faces)
+
+
+@pytest.mark.parametrize(("data", "why"), [
+    (gzip.compress(bytes(500)), "GZ file"),
+    (b"PK\x03\x04" + bytes(500), "ZIP file"),
+    (b"solid x\nendsolid x\n", "no triangle"),
+    (b"a letter of more words\n" * 9, "neither a binary STL"),
+    (bytes(80) + struct.pack("<I", 7), "counts 7 triangles"),
+])  # fmt: skip
+def test_an_stl_file_without_triangles_is_refused_for_what_it_is(
+    tmp_path: Path, data: bytes, why: str
+) -> None:
+    (tmp_path / "a.stl").write_bytes(data)
+    with pytest.raises(InputError, match=why):
+        read_surface(tmp_path / "a.stl")
