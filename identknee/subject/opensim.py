@@ -22,6 +22,7 @@ from identknee.subject.examples import opensim_file
 from identknee.subject.knee import BONES, Frame, Knee, Landmark, Side
 from identknee.subject.ligament import Ligament, Obstacle, groups_by_name
 from identknee.subject.opensim_model import (
+    LIGAMENT_CLASS,
     MM_PER_M,
     Element,
     Joint,
@@ -146,7 +147,6 @@ def _side(model: OsimModel, stated: Side | None, *names: str) -> Side:
     )
 
 
-LIGAMENT_CLASS = "Blankevoort1991Ligament"
 # Elements that hold a path, by version of OpenSim.
 PATH_POINTS = ".//PathPointSet/objects/*"
 # Elements of a force that name its bodies.
@@ -265,9 +265,15 @@ def lines_of(bones: Bones, *, wrapping: bool = True) -> tuple[list[OsimLine], li
         why = f"no {LIGAMENT_CLASS} leads from the femur to the tibia"
         if others := sorted({x.tag for x in other_ligaments(bones)}):
             why = f"{why}: its ligaments are of class {' and '.join(others)}, which are not read"
-        switched = f"all of class {LIGAMENT_CLASS} are switched off or have a moving end"
         remedy = f"Give a model whose ligaments are of class {LIGAMENT_CLASS}."
-        raise model.refusal("forces", switched if off else why, remedy)
+        if off:
+            why = f"all of class {LIGAMENT_CLASS} are switched off or have a moving end"
+            remedy = "Switch on those that the knee has (appliesForce true), with fixed ends."
+        raise model.refusal("forces", why, remedy)
+    called = [x.ligament.name for x in lines]
+    if twice := next((x for x in called if called.count(x) > 1), ""):
+        why = "another ligament between femur and tibia has this name"
+        raise model.refusal(f"ligament {twice}", why, "Remove it from the model, or rename it.")
     total = sum(x.ligament.stiffness_kN for x in lines)
     if 0.0 < total < LEAST_STIFFNESS:
         why = f"all ligaments together have a linear_stiffness of {1000.0 * total:.3g} N"
@@ -873,10 +879,13 @@ def _joined(remarks: Iterable[NotTaken]) -> Iterator[NotTaken]:
 def _forces(bones: Bones) -> Iterator[NotTaken]:
     own = {x.get("name") for x in bones.joint.element.iterfind("coordinates/Coordinate")}
     lines = other_ligaments(bones)
+    for x in bones.model.forces:
+        if x.tag == LIGAMENT_CLASS and not x.get("name") and _joins_the_bones(bones, x):
+            yield remark(x, "a ligament without a name is not read", is_line=True)
     for x in lines:
         yield remark(x, f"only lines of class {LIGAMENT_CLASS} are read", is_line=True)
     for x in bones.model.forces:
-        if x in lines:
+        if x in lines or (x.tag == LIGAMENT_CLASS and not x.get("name")):
             continue
         coordinate = (x.findtext("coordinate") or "").strip().split("/")[-1]
         ends = set(ends_of(bones, x))
@@ -900,12 +909,16 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
 
 
 def _bodies_of(bones: Bones, force: Element) -> set[str]:
-    """The bodies of this knee that a force names, in its sockets and on its path."""
-    named = {
-        bones.model.placed(text)[0]
-        for x in force.iter()
-        if BODY_TAGS.fullmatch(x.tag) and (text := (x.text or "").strip())
+    """The bodies of this knee that a force names, in its sockets and on its path.
+
+    A socket may also refer to a contact geometry, which is on a body.
+    """
+    geometry = {
+        x.get("name", ""): x.findtext("socket_frame") or "/ground"
+        for x in bones.model.listed("ContactGeometrySet")
     }
+    texts = [(x.text or "").strip() for x in force.iter() if BODY_TAGS.fullmatch(x.tag) and x.text]
+    named = {bones.model.placed(geometry.get(x.split("/")[-1], x))[0] for x in texts if x}
     return named & {*bones.femur, *bones.tibia}
 
 

@@ -19,7 +19,6 @@ from identknee.subject.examples import opensim_file
 from identknee.subject.knee import Frame, Knee
 from identknee.subject.ligament import Ligament
 from identknee.subject.opensim import (
-    LIGAMENT_CLASS,
     MERGED,
     TRANSITION_STRAIN,
     Bones,
@@ -35,7 +34,7 @@ from identknee.subject.opensim import (
     straightened,
     unread_names,
 )
-from identknee.subject.opensim_model import MM_PER_M, Element, OsimModel
+from identknee.subject.opensim_model import LIGAMENT_CLASS, MM_PER_M, Element, OsimModel
 from identknee.subject.surface import write_surface
 
 # Transform axis, coordinate, direction and value in the scanned pose [rad, m].

@@ -15,8 +15,11 @@ Element = ET.Element
 MM_PER_M = 1000.0
 # Larger numbers are refused: no quantity of a knee comes near, and their products may overflow.
 LARGEST = 1e9
+LIGAMENT_CLASS = "Blankevoort1991Ligament"
 # Endings of the names of force classes.
 FORCE_ENDINGS = ("Force", "Spring", "Ligament", "Actuator")
+# Where a force has the points of its path, by version of OpenSim.
+PATHS = ("*/PathPointSet", "path/*/PathPointSet")
 # Largest depth of frames within frames, and of functions of functions.
 DEEPEST = 100
 # Code of the XML parser's error for a character that is not allowed at its place.
@@ -120,6 +123,10 @@ class OsimModel:
             )
         self.root: Element = root
         self._model = found
+        defaults = found.find("defaults")
+        self._defaults = [] if defaults is None else list(defaults)
+        self._passed = {id(y) for x in self._defaults for y in x.iter()}
+        self._take_defaults()
         self._offsets = {
             (joint.get("name", ""), frame.get("name", "")): frame
             for joint in found.iterfind("JointSet/objects/*")
@@ -129,20 +136,33 @@ class OsimModel:
 
     def all_of(self, kind: str) -> list[Element]:
         """All elements of a class that have a name, defaults excepted."""
-        defaults = self._model.find("defaults")
-        known = set() if defaults is None else {id(x) for x in defaults.iter(kind)}
-        return [x for x in self._model.iter(kind) if x.get("name") and id(x) not in known]
+        return [x for x in self._of(kind) if x.get("name")]
+
+    def _of(self, kind: str | None = None) -> list[Element]:
+        """All elements of a class, or of any, defaults excepted."""
+        return [x for x in self._model.iter(kind) if id(x) not in self._passed]
+
+    def _take_defaults(self) -> None:
+        """Write into ligaments what they leave to the default of their class, as OpenSim does."""
+        own = [x for x in self._defaults if x.tag == LIGAMENT_CLASS]
+        for line in self._of(LIGAMENT_CLASS):
+            line.extend(y for x in own for y in x if line.find(y.tag) is None)
 
     @property
     def forces(self) -> list[Element]:
-        """Its forces of all classes."""
+        """Its forces of all classes, wherever they stand; sets of forces by their members."""
+        of_set = {id(x) for x in self._model.iterfind("ForceSet/objects/*")}
         return [
-            *self._model.iterfind("ForceSet/objects/*"),
-            *(
-                x
-                for x in self._model.iterfind("components/*")
-                if x.find(".//PathPointSet") is not None or x.tag.endswith(FORCE_ENDINGS)
-            ),
+            x
+            for x in self._of()
+            if x.find("objects") is None
+            and (
+                id(x) in of_set
+                or (
+                    x.get("name")
+                    and (x.tag.endswith(FORCE_ENDINGS) or any(x.find(y) is not None for y in PATHS))
+                )
+            )
         ]
 
     def listed(self, group: str) -> list[Element]:

@@ -80,6 +80,30 @@ def test_a_ligament_disabled_as_before_opensim_4_is_left_out(
     assert [x.name for x in imported_knee(path).knee.ligaments] == ["PCL", "LCL", "MCL"]
 
 
+def test_what_a_ligament_leaves_to_the_default_of_its_class(tmp_path: Path, knee: Knee) -> None:
+    off = f"<{KIND}><appliesForce>false</appliesForce></{KIND}>"
+    path = edited(
+        changed(
+            write_model(tmp_path, knee),
+            "ACL",
+            lambda x: x.replace("<linear_st", "<appliesForce>true</appliesForce><linear_st"),
+        ),
+        ("<length_units>", f"<defaults>{off}</defaults><length_units>"),
+    )
+    found = imported_knee(path)
+    assert [x.name for x in found.knee.ligaments] == ["ACL"]
+    assert {y for x in left_out_of(found) if x.kind == KIND for y in x.names} == {
+        *("PCL", "LCL", "MCL")
+    }
+
+
+def test_a_model_without_a_force_that_is_on(tmp_path: Path, knee: Knee) -> None:
+    off = "<appliesForce>false</appliesForce><linear_stiffness>"
+    path = edited(write_model(tmp_path, knee), ("<linear_stiffness>", off))
+    with pytest.raises(InputError, match="Switch on those"):
+        import_opensim(path)
+
+
 def test_one_that_applies_its_force_is_no_remark(tmp_path: Path, knee: Knee) -> None:
     path = changed(
         write_model(tmp_path, knee),
@@ -98,6 +122,53 @@ def test_ligaments_of_other_classes_are_named(
     told = listed(path, bundles=bundles)["LCL", kind]
     assert (told.change, told.is_line) == ("left out", True)
     assert "LCL" not in [x.name for x in import_opensim(path).ligaments]
+
+
+@pytest.mark.parametrize("place", [
+    "<ComponentSet><objects>{}</objects></ComponentSet>",
+    "<BodySet><objects><Body name='femur_r'><components>{}</components></Body></objects></BodySet>",
+    "<ForceSet><objects><ForceSet name='it'><objects>{}</objects></ForceSet></objects></ForceSet>",
+])  # fmt: skip
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+def test_a_ligament_of_another_class_is_named_wherever_it_stands(
+    tmp_path: Path, knee: Knee, place: str, bundles: str
+) -> None:
+    path = write_model(tmp_path, knee)
+    text = path.read_text(encoding="utf-8")
+    line = re.search(rf'<{KIND} name="LCL">.*?</{KIND}>', text, re.S)
+    assert line is not None
+    there = place.format(line[0].replace(KIND, "Ligament"))
+    edited(changed(path, "LCL", lambda _: ""), ("<length_units>", f"{there}<length_units>"))
+    assert listed(path, bundles=bundles)["LCL", "Ligament"].is_line
+    assert ("it", "ForceSet") not in listed(path)
+
+
+def test_a_ligament_without_a_name_is_said_to_be_left_out(tmp_path: Path, knee: Knee) -> None:
+    path = changed(write_model(tmp_path, knee), "LCL", lambda x: x.replace(' name="LCL"', ""))
+    assert listed(path)["without a name", KIND].is_line
+
+
+@pytest.mark.parametrize("bundles", ["separate", "merged"])
+def test_two_ligaments_of_one_name_are_refused(tmp_path: Path, knee: Knee, bundles: str) -> None:
+    path = changed(write_model(tmp_path, knee), "LCL", lambda x: 2 * x)
+    with pytest.raises(InputError, match=r"ligament LCL: another ligament .* has this name"):
+        imported_knee(path, bundles=bundles)  # type: ignore[arg-type]
+
+
+def test_contact_of_other_geometry_on_a_bone_of_the_knee_is_said(
+    tmp_path: Path, knee: Knee
+) -> None:
+    kind = "SmoothSphereHalfSpaceForce"
+    force = f'<{kind} name="it"><socket_sphere>/contactgeometryset/ball</socket_sphere></{kind}>'
+    ball = (
+        '<ContactSphere name="ball"><socket_frame>/bodyset/femur_r</socket_frame></ContactSphere>'
+    )
+    path = edited(
+        write_model(tmp_path, knee),
+        _force(force),
+        ("<ContactGeometrySet><objects>", f"<ContactGeometrySet><objects>{ball}"),
+    )
+    assert listed(path)["it", kind].why.startswith("it acts on a bone of this knee")
 
 
 def test_deep_bundles_do_not_stand_for_superficial_ones(tmp_path: Path, knee: Knee) -> None:
