@@ -31,7 +31,7 @@ class Frame(TypedProtocol):
     def reset_index(self) -> "Frame":
         """The frame with its index as a column."""
 
-    def to_csv(self, *, index: bool, quoting: int) -> str:
+    def to_csv(self, *, index: bool, quoting: int, header: bool = True) -> str:
         """Its text."""
 
 
@@ -54,6 +54,11 @@ def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
     if getattr(frame.columns, "nlevels", 1) > 1:
         why = "its columns have names of several levels"
         raise InputError(NAME, "columns", why, "Give each column one name, such as varus_deg.")
+    if len(frame.columns) and str(frame.columns[0]).startswith("#"):
+        # pandas took a comment line above the header for it, and all but that many cells for names.
+        text = frame.to_csv(index=True, quoting=csv.QUOTE_NONNUMERIC, header=False)
+        rows = (f"row {i}" for i in range(len(frame.index) - 1))
+        return "\n".join([",".join(map(str, frame.columns)), text]), ("comment", "columns", *rows)
     named = any(x is not None for x in frame.index.names)
     labels = list(frame.index)
     are_words = bool(labels) and all(isinstance(x, str) for x in labels)

@@ -52,8 +52,8 @@ WORKBOOK = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 # Byte-order marks of UTF-16; other text is read as UTF-8.
 WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 LOOKED_AT = 512  # bytes
-# The name of a column in which pandas or R number the rows; it may be empty.
-NAMELESS = re.compile(r"(Unnamed: \d+)?")
+# Names of a column in which pandas or R number the rows; it may have none.
+NAMELESS = re.compile(r"(Unnamed: \d+|index|level_0|rownames)?")
 COUNT = re.compile(r"[0-9]+")
 # Names of units in lower case and without brackets, by the ending of column names.
 UNITS = {

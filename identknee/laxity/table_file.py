@@ -275,7 +275,9 @@ class CellFile:
                     )
                 if self._is_counted and not COUNT.fullmatch(cells[0]):
                     remedy = "Name it or remove it."
-                    self.refuse(self.header_line, "", "a column has no name", remedy)
+                    named = self._names[0]
+                    why = "this column does not count rows" if named else "a column has no name"
+                    self.refuse(self.header_line, named, why, remedy)
                 if not (is_first and is_unit_row(cells)):
                     yield TableRow(self, line, cells)
                 elif found := wrong_unit(self._under_own_names, cells):

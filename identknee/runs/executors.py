@@ -399,4 +399,6 @@ def executor_of(
     own
         Makes the executor of a number of workers on this machine.
     """
-    return dask_cluster(workers) if isinstance(workers, str) else own(workers)
+    if isinstance(workers, str) and not workers.isdecimal():
+        return dask_cluster(workers)
+    return own(int(workers))

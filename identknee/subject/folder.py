@@ -582,12 +582,10 @@ def read_subject(path: PathLike | Mapping[str, Any]) -> Knee:
         return example(path)
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.exists() and file.name != FILE:
-        raise InputError(
-            path,
-            "",
-            "there is no such subject folder",
-            f"{known_names(file.name)} Or give a folder that holds {FILE}.",
-        )
+        remedy = f"{known_names(file.name)} Or give a folder that holds {FILE}."
+        if named_subject(str(path)) is not None:
+            remedy = f"Give the text {str(path)!r}: a Path is a place on the disk."
+        raise InputError(path, "", "there is no such subject folder", remedy)
     if file.name == FILE and not file.exists() and file.parent.is_dir():
         raise InputError(
             file.parent, "", f"the folder holds no {FILE}", "Add one, or give another folder."

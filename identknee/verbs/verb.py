@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, get_args, get_origin, overload
 from typing import Protocol as TypedProtocol
 
+import numpy as np
+
 from identknee.calibrate.fit import StartLike
 from identknee.checks.left_out_trials import TrialsAsked, trials_asked
 from identknee.laxity.data_frame import NAME as FRAME
@@ -42,7 +44,7 @@ from identknee.verbs.answer import Answer, question
 from identknee.verbs.options import IN_FULL, explained, option_of, parameters_in_full
 from identknee.verbs.values import STRUCTURES, noise_of, noise_words
 
-SUBJECT, DATA, PROTOCOL = "subject", "data", "protocol"
+SUBJECT, DATA, PROTOCOL, FIXED = "subject", "data", "protocol", "fixed"
 SUBJECT_FILES = (".toml", ".osim")
 # The types that sizes of noise may have, and no other option has together.
 NOISE = frozenset({str, float, tuple[float, float]})
@@ -78,6 +80,8 @@ def _as_taken(name: str, annotation: Any, given: Any) -> Any:
     """One argument."""
     plain = get_args(annotation)[0]
     kinds = frozenset(get_args(plain) or (plain,))
+    are_values = any(get_origin(x) is Mapping for x in kinds)
+    given = _plain(given, is_series=are_values)
     if name == DATA and isinstance(given, list | tuple):
         tables = [_as_taken(name, annotation, x) for x in given]
         return tables[0] if len(tables) == 1 else _numbered(tables) or None
@@ -90,7 +94,7 @@ def _as_taken(name: str, annotation: Any, given: Any) -> Any:
     if is_frame(given) and (name == DATA or Frame in kinds):
         return read_laxity(given, is_measured=name == DATA)
     if Sequence[str] in kinds and str not in kinds:
-        return _names(given)
+        return _names(name, given, are_values=are_values)
     if int in kinds and kinds <= WHOLE and not (given is None and type(None) in kinds):
         return _whole(name, option_of(annotation).least, given)
     return noise_words(given) if kinds >= NOISE else given
@@ -140,12 +144,10 @@ def _numbered(tables: Sequence[Any]) -> list[Any]:
 
 
 def _start(given: Any) -> Any:
-    """Where fits start: values of an answer or of a pandas series as a dictionary."""
+    """Where fits start: values of an answer as a dictionary."""
     if isinstance(given, Answer) and given.parameter_set is not None:
         errors = {x.name for x in given.nuisances}
         return {name: x for name, x in given.parameter_set.items() if name not in errors}
-    if hasattr(given, "to_dict") and hasattr(given, "index"):
-        return given.to_dict()
     if given is None or isinstance(given, str | os.PathLike | Mapping):
         return given
     raise ValueRefused(
@@ -155,12 +157,36 @@ def _start(given: Any) -> Any:
     )
 
 
-def _names(given: Any) -> Any:
+def _plain(given: Any, *, is_series: bool) -> Any:
+    """Numbers of numpy as those of Python, also in a dictionary; a pandas series as one."""
+    if is_series and hasattr(given, "to_dict") and hasattr(given, "index") and not is_frame(given):
+        given = given.to_dict()
+    if isinstance(given, Mapping):
+        return {name: _plain(x, is_series=False) for name, x in given.items()}
+    return given.item() if isinstance(given, np.generic) else given
+
+
+def _names(name: str, given: Any, *, are_values: bool) -> Any:
     """Names as a sequence: one name as one of them, an array or an index of them as a list."""
     if isinstance(given, str):
-        return (given,)
-    is_listed = given is None or isinstance(given, list | tuple | Mapping)
-    return given if is_listed or not isinstance(given, Iterable) else [str(x) for x in given]
+        given = (given,)
+    if given is None or (are_values and isinstance(given, Mapping)):
+        return given
+    at_start = name == FIXED
+    if isinstance(given, Mapping) or not isinstance(given, Iterable):
+        said = "values by name" if isinstance(given, Mapping) else repr(given)
+        remedy = ", and their values as start={'ACL.stiffness_kN': 9.5}" if at_start else ""
+        raise ValueRefused(f"{name} is {said}, and takes names alone", f"give a list{remedy}")
+    names = list(given)
+    if not_named := [x for x in names if not isinstance(x, str)]:
+        wanted = "a dictionary of values by name" if are_values else "a list of names"
+        raise ValueRefused(f"{name} has {not_named[0]!r}, which is no name", f"give {wanted}")
+    if at_start and (valued := [x for x in names if "=" in x]):
+        raise ValueRefused(
+            f"--fix {valued[0]}: a parameter is held at its start",
+            "give its name alone, and its value in a file of --start",
+        )
+    return given if isinstance(given, list | tuple) else [str(x) for x in names]
 
 
 def _check_places(arguments: Mapping[str, Any]) -> None:

@@ -48,7 +48,12 @@ def path(measured: ik.Laxity, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def frame(path: Path) -> pd.DataFrame:
-    return pd.read_csv(path)
+    return pd.read_csv(path, skiprows=1)
+
+
+def test_a_frame_of_a_file_whose_first_line_is_a_comment(path: Path, measured: ik.Laxity) -> None:
+    assert path.read_text(encoding="utf-8").startswith("#")
+    same(ik.read_laxity(pd.read_csv(path)), measured)
 
 
 def same(read: ik.Laxity, expected: ik.Laxity) -> None:
@@ -159,6 +164,12 @@ def test_answers_to_a_frame_are_those_to_its_file(
         (ik.fit, "start", {NAME: 9.5}, {NAME: 9.5}),
         (ik.profile, "start", pd.Series({NAME: 9.5}), {NAME: 9.5}),
         (ik.diagnose, "start", "IG2", "IG2"),
+        (ik.fit, "start", {NAME: np.float32(9.5)}, {NAME: 9.5}),
+        (ik.fit, "start", {"ACL": {"stiffness_kN": np.int64(9)}}, {"ACL": {"stiffness_kN": 9}}),
+        (ik.fit, "uncertain", {"insertions_mm": np.float32(2.0)}, {"insertions_mm": 2.0}),
+        (ik.fit, "bounds", pd.Series({NAME: (5, 20)}), {NAME: (5, 20)}),
+        (ik.simulate, "values", pd.Series({NAME: 9.5}), {NAME: 9.5}),
+        (ik.profile, "parameters", pd.Series([NAME]), [NAME]),
     ],
 )
 def test_one_name_is_a_list_of_one_and_one_number_both_sizes_of_noise(
@@ -294,7 +305,9 @@ def test_what_is_like_a_table_is_refused_by_reading_too(kind: str, frame: pd.Dat
 
 
 def test_the_text_of_a_table_is_no_path(path: Path) -> None:
-    with pytest.raises(InputError, match=r"^trial.{0,45}: this is a text of 5 lines, not the path"):
+    with pytest.raises(
+        InputError, match=r"^# trans.{0,45}: this is a text of 6 lines, not the path"
+    ):
         ik.read_laxity(path.read_text())
 
 
@@ -319,6 +332,12 @@ def test_an_index_of_names_without_a_name_is_named(frame: pd.DataFrame) -> None:
         ({"more_starts": 2.5}, r"more_starts is 2\.5; give"),
         ({"seed": None}, "seed is None; give a whole number"),
         ({"budget": True}, "budget is True; give a whole number"),
+        ({"fixed": {NAME: 12.0}}, r"fixed is values by name, .* as start=\{"),
+        ({"fixed": pd.Series({NAME: 12.0})}, r"fixed has 12\.0, which is no name"),
+        ({"fixed": (NAME, 12.0)}, r"fixed has 12\.0, which is no name"),
+        ({"fixed": 1}, "fixed is 1, and takes names alone"),
+        ({"fixed": f"{NAME}=12"}, r"--fix ACL.stiffness_kN=12: a parameter is held at its start"),
+        ({"leave_out": {"a": True}}, "leave_out is values by name"),
         ({"uncertain": {"insertions": 2.0}}, r"no such part\. Did you mean insertions_mm\?"),
     ],
 )
@@ -362,3 +381,17 @@ def test_a_word_is_one_of_the_choices(
     else:
         with pytest.raises(ValueError, match=f"^{name} None"):
             read_arguments(known, {name: None})
+
+
+def test_a_named_subject_as_a_path_is_told_to_be_a_text(frame: pd.DataFrame) -> None:
+    with pytest.raises(InputError, match="Give the text 'reference'"):
+        ik.fit(Path("reference"), frame)
+
+
+def test_an_index_that_counts_rows_may_be_a_column(
+    frame: pd.DataFrame, measured: ik.Laxity
+) -> None:
+    same(ik.read_laxity(frame.reset_index()), measured)
+    words = frame.reset_index().astype({"index": str}).assign(index="x")
+    with pytest.raises(InputError, match="column index: this column does not count rows"):
+        ik.read_laxity(words)
