@@ -1,7 +1,8 @@
 """Tables in memory: a pandas data frame as the text of the table that it would be saved as."""
 
 import csv
-from collections.abc import Mapping, Sequence
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from typing import Protocol as TypedProtocol
 
@@ -66,17 +67,30 @@ def frame_text(frame: Frame) -> tuple[str, tuple[str, ...]]:
         remedy = 'If the index holds their names, call it so: frame.index.name = "trial".'
         raise InputError(NAME, "columns", "there is no column trial", remedy)
     attrs: Mapping[Any, Any] = getattr(frame, "attrs", {})
-    stated = [f"# {x}: {_words(attrs[x])}" for x in STATED if x in attrs]
+    keys = [x for x in attrs if isinstance(x, str) and statement_near(x, STATED)]
+    stated = [f"# {x}: {_words(attrs[x])}" for x in keys]
     # Text is quoted, so that no name of a trial is taken for a comment.
     text = (frame.reset_index() if named else frame).to_csv(
         index=False, quoting=csv.QUOTE_NONNUMERIC
     )
     places = (
-        *(f"attrs {x!r}" for x in STATED if x in attrs),
+        *(f"attrs {x!r}" for x in keys),
         "columns",
         *(f"row {x}" for x in labels),
     )
     return "\n".join([*stated, text]), places
+
+
+def statement_near(word: str, statements: Iterable[str]) -> str:
+    """The statement that a word is or may be misspelled for; empty where there is none.
+
+    Examples
+    --------
+    >>> statement_near("Translation", STATED), statement_near("translated", STATED)
+    ('translations', '')
+    """
+    close = difflib.get_close_matches(word.casefold(), list(statements), n=1, cutoff=0.85)
+    return close[0] if close else ""
 
 
 def _words(value: Any) -> str:

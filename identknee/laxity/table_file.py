@@ -17,7 +17,7 @@ from typing import NoReturn, Self, TextIO
 
 import numpy as np
 
-from identknee.laxity.data_frame import NAME, Frame, frame_text, is_frame
+from identknee.laxity.data_frame import NAME, Frame, frame_text, is_frame, statement_near
 from identknee.laxity.protocol import (
     ABSOLUTE,
     DIRECTIONS,
@@ -678,6 +678,15 @@ STATEMENT = re.compile(
 )
 
 
+# Statements that change what numbers mean, and their usual words.
+MEANINGS: Mapping[str, Sequence[str]] = {
+    "translations": DEFINITIONS,
+    "zero": ZEROS,
+    "within_trial_correlation": (),
+}
+ALMOST = re.compile(r"(\w+)\s*([:=]?)\s*(?:(?:as|are|is)\s+)?(.*)")
+
+
 def correlation_fault(value: float) -> tuple[str, str] | None:
     """What is wrong with a within-trial correlation, and its remedy; None if all is well."""
     low, high = CORRELATION_LIMITS
@@ -724,6 +733,7 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
     for line, text in file.comments:
         found = STATEMENT.fullmatch(text)
         if found is None:
+            _check_no_statement(file, line, text)
             free.append(text)
             continue
         if found[1].lower() in {"column", "levels", "angles"}:
@@ -752,6 +762,17 @@ def statements(file: CellFile, protocol: Protocol, coordinates: Array) -> Statem
         translations=_translations(file, stated["translations"], lines, zero),
         is_definition_stated="translations" in lines,
     )
+
+
+def _check_no_statement(file: CellFile, line: int, text: str) -> None:
+    """Refuse a comment that looks like a statement about the numbers, and would not be read."""
+    found = ALMOST.match(text)
+    name = "" if found is None else statement_near(found[1], MEANINGS)
+    if found is None or not name:
+        return
+    _, sign, value = found.groups()
+    if sign or value.partition(" ")[0].rstrip(",;.").lower() in MEANINGS[name]:
+        file.refuse(line, "", f"{text!r} states nothing", f"Write: # {name}: {value}.")
 
 
 def _translations(file: CellFile, stated: str, lines: Mapping[str, int], zero: str) -> Translations:

@@ -185,7 +185,10 @@ def split(laxity: Laxity, held_out: Sequence[str]) -> tuple[Laxity, BoolArray]:
         )
     held = named_trials(laxity, held_out, "--hold-out")
     if not (laxity.is_measured.any(axis=1) & ~held).any():
-        raise ValueError("--hold-out leaves no trial to fit to; hold out fewer")
+        why = "no coordinate of the table is measured; fill in what was"
+        if held.any():
+            why = "--hold-out leaves no trial to fit to; hold out fewer"
+        raise ValueError(why)
     return laxity.without(held), held
 
 

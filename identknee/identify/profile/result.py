@@ -395,7 +395,8 @@ _VERDICTS = {
     ProfileVerdict.ONE_SIDED: "The data bound the value on one side only.",
     ProfileVerdict.PRACTICALLY_NONIDENTIFIABLE: "These data bound the value on neither side.",
     ProfileVerdict.STRUCTURALLY_SUSPECT: (
-        "Data of this kind cannot bound the value: they do not depend on it."
+        "Data of this kind cannot bound the value: they do not depend on it, or other parameters "
+        "make up for it."
     ),
     ProfileVerdict.MULTIMODAL: "The confidence set has several separate intervals.",
     ProfileVerdict.UNDETERMINED: "One side was not completed, so there is no verdict.",

@@ -161,6 +161,11 @@ def test_words_that_are_no_definition_are_refused(laxity: Laxity, tmp_path: Path
     for said, why in (
         ("# translations: oblique", "row 1: 'oblique'.*projections"),
         ("# translations: femur\n# zero: unloaded", "row 1: .*absolute"),
+        ("# translations = projections", "row 1: .*Write: # translations: projections"),
+        ("# translation: tibia", "row 1: .*Write: # translations: tibia"),
+        ("# translations as projections", "row 1: .*Write: # translations: projections"),
+        ("# Zero = unloaded", "row 1: .*Write: # zero: unloaded"),
+        ("# within_trial_corelation: 0.5", "row 1: .*Write: # within_trial_correlation: 0.5"),
     ):
         (tmp_path / "b.csv").write_text(f"{said}\n{lines}", encoding="utf-8")
         with pytest.raises(InputError, match=why):
@@ -168,3 +173,12 @@ def test_words_that_are_no_definition_are_refused(laxity: Laxity, tmp_path: Path
     changes = relative_to_unloaded(laxity)
     with pytest.raises(ValueError, match="absolute"):
         write_laxity(changes, tmp_path / "c.csv", translations="femur")
+
+
+@pytest.mark.parametrize(
+    "free", ["translations in mm", "zero load at first", "Zone: 3", "made = 4"]
+)
+def test_comments_that_state_nothing_are_kept(laxity: Laxity, tmp_path: Path, free: str) -> None:
+    lines = write_laxity(laxity, tmp_path / "a.csv").read_text(encoding="utf-8")
+    (tmp_path / "b.csv").write_text(f"# {free}\n{lines}", encoding="utf-8")
+    assert free in read_laxity(tmp_path / "b.csv").comments

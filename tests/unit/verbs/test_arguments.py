@@ -93,6 +93,13 @@ def test_attrs_of_a_frame_state_what_comment_lines_do(frame: pd.DataFrame) -> No
         ik.read_laxity(stated)
 
 
+def test_an_attr_that_is_misspelled_is_named(frame: pd.DataFrame) -> None:
+    named = frame.copy()
+    named.attrs = {"translation": "projections"}
+    with pytest.raises(InputError, match=r"attrs 'translation': .*# translations: projections"):
+        ik.read_laxity(named)
+
+
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
@@ -395,3 +402,9 @@ def test_an_index_that_counts_rows_may_be_a_column(
     words = frame.reset_index().astype({"index": str}).assign(index="x")
     with pytest.raises(InputError, match="column index: this column does not count rows"):
         ik.read_laxity(words)
+
+
+def test_a_table_without_a_measured_value_is_said_to_be(frame: pd.DataFrame) -> None:
+    blank = frame.assign(**dict.fromkeys(COORDINATES, np.nan))
+    with pytest.raises(ValueError, match="no coordinate of the table is measured"):
+        ik.fit("reference", blank)
