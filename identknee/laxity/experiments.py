@@ -13,7 +13,12 @@ LARGEST_OFFSET = (1000.0, 100.0)
 _LIGAMENT = re.compile(r"(?P<ligament>[^,%]+?)(?:\s+(?P<percent>[0-9.]+)\s*%)?")
 _BETWEEN = re.compile(r"\s*[,+&/;]\s*|\s+and\s+")
 _NAME = re.compile(r"[\w-]([\w -]*[\w-])?")
-_STATE = re.compile(r"cut\s*:(?P<first>.+)|(?P<last>.+?)[\s-]+(cut|deficient)", re.IGNORECASE)
+_STATE = re.compile(
+    r"(cut\s*:|(cut|without)\s)(?P<first>.+)"
+    r"|(?P<last>.+?)[\s_-]+(cut|deficient|sectioned|transected|resected|removed)",
+    re.IGNORECASE,
+)
+_INTACT = re.compile(r"((intact|native)([\s_-]+knee)?)?", re.IGNORECASE)
 WRITE = 'write "intact", "cut: ACL", "cut: ACL, dMCL" or "cut: ACL 50%"'
 
 
@@ -88,7 +93,7 @@ def cuts_of(state: str) -> tuple[Cut, ...]:
     >>> state_words(cuts_of("ACL+MCL cut")), state_words(cuts_of("cut: LCL and ACL"))
     ('cut: ACL, MCL', 'cut: ACL, LCL')
     """
-    if state.strip().lower() in (INTACT, ""):
+    if _INTACT.fullmatch(state.strip()):
         return ()
     if (form := _STATE.fullmatch(state.strip())) is None:
         raise ValueRefused(f"the state {state!r} is unknown", WRITE)

@@ -38,6 +38,10 @@ def _table(
         ("ACL cut", [("ACL", 1.0)], "cut: ACL"),
         ("ACL-deficient", [("ACL", 1.0)], "cut: ACL"),
         ("cut: ACL 100%", [("ACL", 1.0)], "cut: ACL"),
+        ("cut ACL", [("ACL", 1.0)], "cut: ACL"),
+        ("without ACL and MCL", [("ACL", 1.0), ("MCL", 1.0)], "cut: ACL, MCL"),
+        ("ACL_transected", [("ACL", 1.0)], "cut: ACL"),
+        ("Native knee", [], "intact"),
     ],
 )
 def test_a_state_has_one_form(state: str, cuts: list[tuple[str, float]], words: str) -> None:
@@ -48,7 +52,18 @@ def test_a_state_has_one_form(state: str, cuts: list[tuple[str, float]], words: 
 
 
 @pytest.mark.parametrize(
-    "state", ["cut:", "severed", "cut: ACL 0%", "cut: ACL 120%", "cut: ACL, ACL", "cut: ,ACL"]
+    "state",
+    [
+        "cut:",
+        "severed",
+        "ACL torn",
+        "knee",
+        "ACL",
+        "cut: ACL 0%",
+        "cut: ACL 120%",
+        "cut: ACL, ACL",
+        "cut: ,ACL",
+    ],
 )
 def test_other_states_are_refused(state: str) -> None:
     with pytest.raises(ValueError, match="state"):
