@@ -35,6 +35,12 @@ def test_the_version_is_that_of_the_package() -> None:
     assert run("--version").stdout == f"identknee {version('identknee')}\n"
 
 
+def test_the_package_runs_as_a_module() -> None:
+    words = [sys.executable, "-m", "identknee", "--version"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout == f"identknee {version('identknee')}\n"
+
+
 @pytest.mark.parametrize("group", [(), ("subject",)])
 def test_a_list_of_commands_cuts_no_sentence_off(group: tuple[str, ...]) -> None:
     listed = run(*group, "--help").stdout.partition("Commands:")[2]
