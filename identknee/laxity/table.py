@@ -420,7 +420,7 @@ def write_laxity(
         lines.append(f"# within_trial_correlation: {float(laxity.within_trial_correlation)!r}")
     if laxity.zero != ABSOLUTE:
         lines.append(f"# zero: {laxity.zero}")
-    if translations != COMPONENTS or (laxity.is_definition_stated and laxity.zero == ABSOLUTE):
+    if translations != COMPONENTS:
         lines.append(f"# translations: {translations}")
     protocol = laxity.protocol
     header = ["trial", FLEXION, *LOADS, *COORDINATES]

@@ -39,7 +39,8 @@ def largest_change(laxity: Laxity) -> float:
 
 
 def test_a_table_may_define_its_translations(measured: Laxity, tmp_path: Path) -> None:
-    write_laxity(measured, tmp_path / "a.csv")
+    text = write_laxity(measured, tmp_path / "a.csv").read_text(encoding="utf-8")
+    (tmp_path / "a.csv").write_text(f"# translations: components\n{text}", encoding="utf-8")
     assert read_laxity(tmp_path / "a.csv").is_definition_stated
     assert not found(trials_asked(read_laxity(tmp_path / "a.csv")).findings)
     again = read_laxity(unstated(measured, tmp_path / "b.csv"))

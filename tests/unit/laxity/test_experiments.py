@@ -82,7 +82,7 @@ def test_a_column_of_states_is_read_and_written(tmp_path: Path) -> None:
     assert whole.protocol.state is None
     text = path.read_text().replace("cut: ACL", "severed")
     path.write_text(text)
-    with pytest.raises(ik.InputError, match=r"row 7, column state.*severed"):
+    with pytest.raises(ik.InputError, match=r"row 6, column state.*severed"):
         ik.read_laxity(path)
 
 

@@ -443,7 +443,7 @@ def test_writing_and_reading_gives_the_same_bits(
 def test_what_is_written_is_short(tmp_path: Path) -> None:
     whole = laxity(1, coordinates=[[0.1, np.nan, 1 / 3, -2.0, 0.0]], comments=("hello",))
     assert write_laxity(whole, tmp_path / "a.csv").read_text() == (
-        "# hello\n# translations: components\n"
+        "# hello\n"
         "trial,flexion_deg,internal_moment_Nm,varus_moment_Nm,anterior_force_N,"
         "distraction_force_N,lateral_force_N,lateral_shift_mm,anterior_drawer_mm,distraction_mm,"
         "varus_deg,internal_deg\n"

@@ -146,7 +146,7 @@ def test_what_a_component_hangs_on_must_be_there(laxity: Laxity, tmp_path: Path)
         coordinates[4, column] = np.nan
         path = write_laxity(replace(laxity, coordinates=coordinates, sd=None), tmp_path / "a.csv")
         lines = path.read_text(encoding="utf-8")
-        path.write_text(lines.replace(": components", ": projections"), encoding="utf-8")
+        path.write_text(f"# translations: projections\n{lines}", encoding="utf-8")
         if refused:
             with pytest.raises(InputError, match=laxity.protocol.trials[4]):
                 read_laxity(path)
@@ -156,8 +156,7 @@ def test_what_a_component_hangs_on_must_be_there(laxity: Laxity, tmp_path: Path)
 
 
 def test_words_that_are_no_definition_are_refused(laxity: Laxity, tmp_path: Path) -> None:
-    unstated = replace(laxity, is_definition_stated=False)
-    lines = write_laxity(unstated, tmp_path / "a.csv").read_text(encoding="utf-8")
+    lines = write_laxity(laxity, tmp_path / "a.csv").read_text(encoding="utf-8")
     for said, why in (
         ("# translations: oblique", "row 1: 'oblique'.*projections"),
         ("# translations: femur\n# zero: unloaded", "row 1: .*absolute"),
