@@ -27,7 +27,7 @@ from identknee.runs.files import plain
 STUDIES = Path(__file__).parents[2] / "studies"
 SHARE = 0.002
 # What the entries drawn from one study may take together, by the times recorded with them [s].
-MOST_SECONDS = 6.0
+MOST_SECONDS = 3.0
 MOST_SHOWN = 5
 # Of these one number alone takes half a minute: they are computed again where all are.
 NIGHTLY = {"16_what_a_cut_is_worth"}
