@@ -1,9 +1,12 @@
 """A page a study: its README, with the figures drawn anew from the record it committed."""
 
+import multiprocessing
 import re
+import runpy
 import shutil
-import subprocess
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 PICTURE = re.compile(r"!\[([^\]]*)\]\((figures/[^)]+)\)")
@@ -48,12 +51,29 @@ def _fill(target: Path, study: Path) -> None:
             shutil.copy(study / name, target / name)
     # A study that has no figures yet is not finished; of a finished one the figures must be drawn.
     if any((target / "figures").glob("*.png")):
-        options = ["--out", str(target / "figures"), "--page", str(made)]
-        subprocess.run([sys.executable, str(study / "figures.py"), *options], check=True)
+        _draw(study / "figures.py", "--out", str(target / "figures"), "--page", str(made))
     text = made.read_text(encoding="utf-8")
     text = PICTURE.sub(lambda x: x[0] if (target / x[2]).exists() else _missing(x[1]), text)
     text = RECORD.sub(lambda x: x[0] if (target / x[2]).exists() else f"`{x[2]}`", text)
     made.write_text(text, encoding="utf-8")
+
+
+def _draw(script: Path, *options: str) -> None:
+    # A copy of this process has what every script imports, which takes longer than its figures.
+    for name in ("identknee.report.comparison", "matplotlib.figure", "scipy.stats"):
+        import_module(name)
+    method = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
+    made = multiprocessing.get_context(method).Process(target=_run, args=(script, options))
+    made.start()
+    made.join()
+    if made.exitcode:
+        raise RuntimeError(f"{script} ended with {made.exitcode}")
+
+
+def _run(script: Path, options: Sequence[str]) -> None:
+    sys.argv = [str(script), *options]
+    sys.path.insert(0, str(script.parent))
+    runpy.run_path(str(script), run_name="__main__")
 
 
 def _missing(what: str) -> str:
