@@ -2,7 +2,9 @@
 
 import gc
 import os
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 # Read when numpy is loaded; test processes with threads of their own get in each other's way.
@@ -10,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from _pytest.doctest import DoctestModule
 from few_starts import use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
@@ -26,7 +29,7 @@ from identknee.subject.reference import reference_knee
 # The same examples every time, and none kept on disk: what passes here passes elsewhere.
 settings.register_profile(
     "ci",
-    max_examples=25,
+    max_examples=12,
     deadline=None,
     derandomize=True,
     database=None,
@@ -38,7 +41,10 @@ settings.register_profile(
 
 # Where whole verbs run to see what they make of their fits, not whether these are the lowest.
 UNIT = Path(__file__).parent / "unit"
-FEW_STARTS = {UNIT / x for x in ("cli", "report", "verbs")}
+FEW_STARTS = {
+    UNIT / x
+    for x in ("cli", "laxity", "model", "model/nuisances", "report", "runs", "subject", "verbs")
+}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -59,6 +65,41 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(skip)
+
+
+# Whatever calls the compiled functions.
+FIRST_CALLS = """
+import identknee as ik
+from identknee.blind.case import blind_case
+knee, protocol = ik.reference_knee(), ik.load_protocol("drawer")
+ik.simulate(knee, protocol)
+blind_case(knee, seed=1, effect=None, protocol=protocol)
+"""
+_compiling: list[subprocess.Popen[bytes]] = []
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    # Beside the collection: test processes would wait for one of them that compiles.
+    config = session.config
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        _compiling.append(subprocess.Popen([sys.executable, "-c", FIRST_CALLS]))
+
+
+def pytest_sessionfinish() -> None:
+    for process in _compiling:
+        process.kill()
+        process.wait()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file(
+    file_path: Path,
+) -> Generator[None, list[pytest.Collector], list[pytest.Collector]]:
+    # Where there are no examples, looking for some takes as long as the import.
+    found = yield
+    if file_path.suffix == ".py" and ">>>" not in file_path.read_text("utf-8"):
+        return [x for x in found if not isinstance(x, DoctestModule)]
+    return found
 
 
 @pytest.hookimpl(wrapper=True)
@@ -123,6 +164,12 @@ def short_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     For tests of what is said of the table, whatever was found.
     """
     monkeypatch.setattr("identknee.checks.usable_trials.BUDGET", 40)
+
+
+@pytest.fixture
+def no_drawings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without what is drawn in them, which takes most of the time: for tests of words."""
+    monkeypatch.setattr("identknee.report.page.page.inline_svg", lambda *_: "<svg></svg>")
 
 
 @pytest.fixture

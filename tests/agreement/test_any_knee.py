@@ -35,6 +35,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return posed_folder(tmp_path_factory.mktemp("posed") / "subject", seed=3)
 
 
+@pytest.mark.usefixtures("few_starts")
 def test_simulated_laxity_is_fitted_back_to_the_parameters(subject: Path, tmp_path: Path) -> None:
     protocol, start = tmp_path / "short.toml", tmp_path / "start.toml"
     protocol.write_text(PROTOCOL, encoding="utf-8")

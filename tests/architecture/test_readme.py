@@ -29,7 +29,7 @@ def test_two_commands_do_all_set_up() -> None:
     assert "grep -m 1 -- '-m pytest' README.md" in (ROOT / ".ci" / "run").read_text("utf-8")
 
 
-@pytest.mark.usefixtures("few_starts")
+@pytest.mark.usefixtures("few_starts", "no_drawings")
 def test_the_python_runs(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

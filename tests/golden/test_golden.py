@@ -53,6 +53,7 @@ def _words(page: str) -> str:
     return "\n".join(x for x in lines if x and "identknee 0." not in x)
 
 
+@pytest.mark.usefixtures("no_drawings")
 @pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir() if x.name != "check"))
 def test_the_page_of_a_stored_result_says_what_it_said(verb: str, golden: Golden) -> None:
     page = report_html(found_results(RESULTS / verb))

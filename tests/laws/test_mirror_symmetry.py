@@ -29,12 +29,13 @@ def mirrored(reference_model: LaxityModel) -> ContactGeometry:
     field = here.field
     last = field.origin + field.spacing * (np.array(field.coefficients.shape) - 1)
     coefficients = field.coefficients[:, :, ::-1]
+    reach = _reach(coefficients)
     return replace(
         here,
         field=DistanceField(
             coefficients=coefficients,
-            reach=_reach(coefficients),
-            near=_near(_reach(coefficients)),
+            reach=reach,
+            near=_near(reach),
             origin=np.r_[field.origin[:2], -last[2]],
             spacing=field.spacing,
         ),

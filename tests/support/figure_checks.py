@@ -3,7 +3,8 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib.resources import files
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -22,9 +23,10 @@ from matplotlib.transforms import Bbox
 from identknee.laxity.table import read_laxity
 from identknee.report.figures import ALL_FITS, FIT, MEASURED, without_mathtext
 from identknee.report.page.page import report_drawings
-from identknee.report.presenter import presenter_of
+from identknee.report.presenter import Drawing, presenter_of
 from identknee.report.results import by_subject, found_results, knee_of
 
+RESULTS = Path(__file__).parents[1] / "fuzz" / "results"
 # Boxes of text have room above and below the letters [px at 100 dots an inch].
 ROOM = 1.5
 # What a page leaves beside a figure, and at most for it [px].
@@ -66,10 +68,27 @@ def faults(figure: Figure, names: Collection[str] = ()) -> list[str]:
 
 
 def faults_of(folder: Path) -> dict[str, list[str]]:
-    """All that is wrong with the figures of results in a folder, by the name of the figure.
+    """All that is wrong with the figures of results in a folder, by the name of the figure."""
+    shown = figures_of(folder)
+    return {name: faults(x, shown.names) for name, x in shown.figures.items()}
 
-    Those of the page, and those that commands leave beside their results.
-    """
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """Figures of the page of results, and those that commands leave beside; names in them."""
+
+    drawings: dict[str, Drawing]
+    pictures: dict[str, Figure]
+    names: set[str]
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """All of them by name."""
+        return {name: x.figure for name, x in self.drawings.items()} | self.pictures
+
+
+def figures_of(folder: Path) -> Shown:
+    """The figures of results in a folder, and the names that a user gave in them."""
     results, names = [], set[str]()
     for found in by_subject(found_results(folder)):
         knee = knee_of(found, [])
@@ -80,12 +99,18 @@ def faults_of(folder: Path) -> dict[str, list[str]]:
             names |= set(x.protocol.trials if x.protocol is not None else ())
             for table in x.tables:
                 names |= _trials_of(table)
-    figures = {name: x.figure for name, x in report_drawings(results)}
+    pictures: dict[str, Figure] = {}
     for x in results:
         if x.knee is not None:
-            pictures = presenter_of(x.answer).pictures(x.answer, x.knee)
-            figures |= {f"{x.folder.name}-picture-{name}": y for name, y in pictures.items()}
-    return {name: faults(x, names) for name, x in figures.items()}
+            own = presenter_of(x.answer).pictures(x.answer, x.knee)
+            pictures |= {f"{x.folder.name}-picture-{name}": y for name, y in own.items()}
+    return Shown(drawings=dict(report_drawings(results)), pictures=pictures, names=names)
+
+
+@cache
+def stored_figures(verb: str) -> Shown:
+    """All figures of one of the results that are kept for tests, made once for all of them."""
+    return figures_of(RESULTS / verb)
 
 
 def _trials_of(table: str) -> set[str]:

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import identknee
@@ -10,8 +11,9 @@ ROOT = Path(identknee.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 
 
+@cache
 def tree_of(path: Path) -> ast.Module:
-    """The tree of a module."""
+    """The tree of a module, read once for all tests."""
     return ast.parse(path.read_text(encoding="utf-8"))
 
 

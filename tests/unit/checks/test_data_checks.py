@@ -14,6 +14,8 @@ from identknee.runs.findings import Severity
 from identknee.runs.record import Outcome
 from identknee.subject.folder import read_subject
 
+pytestmark = pytest.mark.usefixtures("few_starts")
+
 
 def begun(subject: str, laxity: Laxity) -> LaxityModel:
     return LaxityModel(knee=read_subject(subject), protocol=laxity.protocol).with_tests(laxity)
@@ -35,6 +37,7 @@ def test_a_table_of_deep_flexion_alone_is_one_of_this_knee() -> None:
     assert frame_findings(begun("s192803_bundles", deep)) == ()
 
 
+@pytest.mark.usefixtures("no_conventions")
 def test_a_table_without_loads_is_said_to_have_none() -> None:
     laxity = as_read()
     assert load_findings(laxity) == ()

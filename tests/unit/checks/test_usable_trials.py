@@ -51,6 +51,7 @@ def test_a_fit_from_slack_ligaments_regains_all_trials() -> None:
     assert found.start_parameters["front"]["reference_strain_pct"] == -30.0
 
 
+@pytest.mark.usefixtures("no_conventions")
 def test_a_trial_that_cannot_be_reached_is_left_out_and_named() -> None:
     laxity = displaced(as_read())
     name = laxity.protocol.trials[2]
@@ -121,6 +122,7 @@ def _search(laxity: Laxity, knee: Knee | None = None) -> TrialSearch:
     return TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
 
 
+@pytest.mark.usefixtures("no_conventions")
 def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() -> None:
     laxity = displaced(as_read())
     found = ik.information(slack(), laxity, noise="0.3mm,0.3deg")

@@ -49,6 +49,7 @@ def test_figures_for_a_paper_lie_beside_the_page(folder: Path, tmp_path: Path) -
     assert all(x.read_bytes().startswith(b"%PDF") for x in files)
 
 
+@pytest.mark.usefixtures("no_drawings")
 def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
     page = ("--out", tmp_path / "page.html")
     result = run("report", folder, *page, "--tables", "csv,latex", "--methods")
@@ -79,6 +80,7 @@ def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_p
         assert "Plotly" not in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("no_drawings")
 def test_a_subject_called_uncertain_is_the_same_subject(folder: Path, tmp_path: Path) -> None:
     table = folder / "simulate" / "laxity.csv"
     stated = ("--uncertain", "contact_modulus=0.3", "--out", tmp_path)

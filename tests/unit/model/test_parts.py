@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from few_places import few_places
 from tolerances import CLOSED_FORM
 
 import identknee as ik
@@ -130,7 +131,8 @@ def test_derivatives_by_all_parameters() -> None:
     assert found.all_converged
     slopes = _slopes(model, found)
     largest = {k: np.nanmax(np.abs(x), axis=(0, 1)) for k, x in slopes.items()}
-    for i, sd in enumerate(model.parameters.prior_sd_in_own_units):
+    for i in few_places(names):
+        sd = model.parameters.prior_sd_in_own_units[i]
         errors = []
         for step in STEPS:
             move = step * sd * np.eye(theta.size)[i]

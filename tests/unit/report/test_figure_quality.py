@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figure_checks import (
+    RESULTS,
     clipped,
     code_names,
     drawn,
@@ -14,6 +15,7 @@ from figure_checks import (
     faults_of,
     overlapping,
     smallest_text,
+    stored_figures,
     text_contrasts,
 )
 from matplotlib.axes import Axes
@@ -23,12 +25,8 @@ from slow_cases import some_slow
 import identknee as ik
 from identknee.laxity.table import example_laxity
 from identknee.report.figures import COLOURS, FIT, MEASURED
-from identknee.report.page.page import report_drawings
 from identknee.report.page.svg import inline_svg
-from identknee.report.presenter import Drawing
-from identknee.report.results import found_results
 
-RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 VERBS = sorted(x.name for x in RESULTS.iterdir() if x.name != "check")
 # WCAG 2.2, success criterion 1.4.3.
 LEAST_CONTRAST = 4.5
@@ -38,24 +36,24 @@ FEW_WAYS = ("Ant", "Pos", "Int", "Ext")
 
 
 @cache
-def drawings(verb: str) -> dict[str, Drawing]:
-    """All figures of one result of a verb, drawn once for all tests."""
-    return dict(report_drawings(found_results(RESULTS / verb)))
-
-
-@cache
 def pictures(verb: str) -> dict[str, str]:
-    """The same as they stand in a page."""
-    return {k: inline_svg(x.figure, k, x.description) for k, x in drawings(verb).items()}
+    """All figures of one result of a verb as they stand in a page."""
+    made = stored_figures(verb).drawings
+    for x in made.values():
+        # Sizes and colours of letters are the same wherever they stand.
+        x.figure.set_layout_engine("none")
+    return {k: inline_svg(x.figure, k, x.description) for k, x in made.items()}
 
 
 @pytest.mark.parametrize("verb", some_slow(VERBS, ["demo"]))
 def test_figures_can_be_read(verb: str) -> None:
-    found = faults_of(RESULTS / verb)
+    shown = stored_figures(verb)
+    found = {name: faults(x, shown.names) for name, x in shown.figures.items()}
     assert found
     assert {name: x for name, x in found.items() if x} == {}
 
 
+@pytest.mark.slow
 def test_figures_of_the_measured_knee_can_be_read(tmp_path: Path) -> None:
     knee = ik.example("s192803")
     # Both directions of two loads at all angles; the fit is short, and loses trials.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cli_runs import refused, run
 from cycler import cycler
+from figure_checks import RESULTS, stored_figures
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -25,11 +26,8 @@ from identknee.report.figures import (
     figure_data,
     resize,
 )
-from identknee.report.page.page import report_drawings
 from identknee.report.parameter_figures import corner_figure
-from identknee.report.results import found_results
 
-RESULTS = Path(__file__).parents[2] / "fuzz" / "results"
 MM = 25.4
 FREE = ("stiffness_kN", "reference_strain_pct")
 
@@ -193,7 +191,7 @@ def test_the_cells_of_a_map_have_their_values_and_words() -> None:
 
 @pytest.mark.parametrize("verb", sorted(x.name for x in RESULTS.iterdir() if x.name != "check"))
 def test_every_figure_of_a_stored_result_has_numbers(verb: str) -> None:
-    for name, drawing in report_drawings(found_results(RESULTS / verb)):
+    for name, drawing in stored_figures(verb).drawings.items():
         found = rows(drawing.figure)
         assert list(found[0]) == list(HEADS), name
         assert any(x["x"] and x["y"] for x in found), name

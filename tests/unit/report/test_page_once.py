@@ -17,6 +17,8 @@ from identknee.report.presenter import presenter_of, statements_of
 from identknee.report.results import found_results
 from identknee.verbs.answer import Answer
 
+pytestmark = pytest.mark.usefixtures("no_drawings")
+
 HELD = both_of("PCL", "LCL", "MCL")
 # A longer one is a sentence, not a heading, a name or a number.
 LONG = 60

@@ -18,6 +18,8 @@ from identknee.report.presenter import statements_of
 from identknee.report.results import found_results
 from identknee.verbs.files import write_answer
 
+pytestmark = pytest.mark.usefixtures("no_drawings")
+
 HELD = both_of("PCL", "LCL", "MCL")
 ACL = "ACL.stiffness_kN"
 HOW: dict[str, Any] = {"noise": "0.5mm,0.5deg", "fixed": HELD, "priors": False}
