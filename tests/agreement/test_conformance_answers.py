@@ -11,11 +11,18 @@ from brute_force import deviance, lowest
 from conformance.case import Case, Formula
 from conformance.construction import plain_parameters
 from conformance.score import conformance_cases
+from slow_cases import some_slow
 
 from identknee.calibrate.problem import ParameterQuantity, Problem
 from identknee.runs.declare import Array
 
 CASES = {case.name: case for case in conformance_cases()}
+# About a second each.
+SLOW = {
+    *("stiff beside sloppy", "closed by the bound of another", "condition 1e16", "saturation"),
+    *("cliff beside the path", "exchangeable parameters", "nuisance pinned at its bounds"),
+    *("two branches apart", "thirty parameters"),
+}
 # How near an end the deviance must cross the threshold, as a share of half the width.
 NEAR = 1e-6
 # Noise of 1e-4 in a residual of 2 moves an end by this share.
@@ -142,7 +149,7 @@ def test_there_are_enough_and_their_names_differ() -> None:
     assert len(CASES) == len(conformance_cases())
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", some_slow(CASES, SLOW))
 def test_answer_by_brute_force(name: str) -> None:
     case = CASES[name]
     limit = _lowest_of_all(case) + case.threshold

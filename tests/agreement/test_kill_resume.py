@@ -17,7 +17,7 @@ from identknee.runs import store as resume
 from identknee.runs.executors import process_pool
 from identknee.runs.store import open_work, resumable_map
 
-N_STARTS, N_KILLS = 40, 3
+N_STARTS, N_KILLS = 40, 2
 WORK_S = 0.05  # of one start, so that kills find work under way
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from problems import EASY, disc_in_the_way, linear, sloppy_springs
+from slow_cases import some_slow
 
 from identknee.calibrate.fit import METHODS, fit
 from identknee.runs.record import Outcome
@@ -34,7 +35,7 @@ def test_every_method_is_here() -> None:
     assert set(ABOVE_MINIMUM) == set(METHODS)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", some_slow([0, 1], [1]))
 @pytest.mark.parametrize(("method", "name"), PAIRS)
 def test_ends_near_the_minimum(method: str, name: str, seed: int) -> None:
     problem = PROBLEMS[name]

@@ -16,7 +16,8 @@ from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity
 from identknee.subject.reference import reference_knee
 
-N_NULLS, MOST_ALARMS = 8, 2
+# Cases with nothing hidden, and the most of them that may alarm.
+NULLS = {4: 1, 8: 2}
 SIGNAL = 12.0
 # Of each kind, in the order of the library: structures, what ligaments are, loads, readings.
 EFFECTS = (
@@ -31,7 +32,7 @@ EFFECTS = (
 )
 SLOW = (
     *("toe_strain", "meniscus", "flexion_offset", "anterolateral", "hysteresis"),
-    "popliteofibular",
+    *("popliteofibular", "axis_misalignment"),
 )
 QUICK = tuple(x for x in EFFECTS if x not in SLOW)
 FIRST_SEED = 300
@@ -43,21 +44,22 @@ def outcome(effect: str, seed: int) -> dict[str, Any]:
     return outcome_of(BlindTask(subject="reference", effects=(effect,), signal=SIGNAL, seed=seed))
 
 
-def test_nothing_hidden_seldom_alarms() -> None:
-    """More than two of eight alarms at a rate of 5 % in 0.6 % of such tests.
+@pytest.mark.parametrize("n_nulls", some_slow(NULLS, [8]))
+def test_nothing_hidden_seldom_alarms(n_nulls: int) -> None:
+    """More than one of four alarms at a rate of 5 % in 1.4 % of such tests, two of eight in 0.6 %.
 
     All p-values together say more than that count: by Fisher's method, on either side.
     """
     knee = reference_knee()
     p_values, n_alarms = [], 0
-    for seed in range(FIRST_SEED, FIRST_SEED + N_NULLS):
+    for seed in range(FIRST_SEED, FIRST_SEED + n_nulls):
         found = investigate(knee, blind_case(knee, seed=seed, effect=None).laxity)
         assert found is not None
         p_values.append(found.conclusion.p_value)
         n_alarms += found.conclusion.verdict is not Verdict.ADEQUATE
-    assert n_alarms <= MOST_ALARMS
+    assert n_alarms <= NULLS[n_nulls]
     fisher = -2.0 * np.log(p_values).sum()
-    assert 0.01 < chi2(2 * N_NULLS).cdf(fisher) < 0.99
+    assert 0.01 < chi2(2 * n_nulls).cdf(fisher) < 0.99
 
 
 @pytest.mark.parametrize("effect", some_slow(EFFECTS, SLOW))

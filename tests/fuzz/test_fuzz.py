@@ -1,6 +1,6 @@
 """Mutated inputs to every reader and verb: each ends with success or with one sentence.
 
-The same 400 every time; `.ci/nightly` tries 20,000 others every night.
+The same 200 every time; `.ci/nightly` tries 20,000 others every night.
 """
 
 from pathlib import Path
@@ -10,7 +10,7 @@ from fuzz_judge import judged
 from fuzz_targets import TARGETS, Target, draw_page
 from run_fuzz import endings
 
-INPUTS = 400
+INPUTS = 200
 KEPT = Path(__file__).parent / "kept"
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cli_runs import run
 from planted_conventions import PLANTED, clean_table, drawn_table
+from slow_cases import some_slow
 
 import identknee as ik
 from identknee.checks import broken_convention
@@ -36,7 +37,10 @@ def clean() -> tuple[ik.LaxityModel, ik.Laxity]:
 
 @pytest.mark.parametrize(
     "name",
-    ["varus_moment_Nm flipped", "angles in radians", "varus_deg in radians", "lengths in cm"],
+    some_slow(
+        ["varus_moment_Nm flipped", "angles in radians", "varus_deg in radians", "lengths in cm"],
+        ["angles in radians", "varus_deg in radians"],
+    ),
 )
 def test_a_broken_convention_is_named(name: str, clean: tuple[ik.LaxityModel, ik.Laxity]) -> None:
     broken = PLANTED[name].broken(clean[1])
@@ -93,7 +97,12 @@ def test_without_load_curves_it_takes_what_the_better_fit_leaves_for_noise() -> 
     assert planted.is_named(found)
 
 
-@pytest.mark.parametrize("cause", ["registration", "load_axes", "anterolateral", "bundles"])
+@pytest.mark.parametrize(
+    "cause",
+    some_slow(
+        ["registration", "load_axes", "anterolateral", "bundles"], ["load_axes", "anterolateral"]
+    ),
+)
 def test_a_table_that_the_model_is_wrong_about_is_not_accused(cause: str) -> None:
     drawn = drawn_table("reference", CAUSES.index(cause), is_wrong=True)
     assert drawn.cause == cause

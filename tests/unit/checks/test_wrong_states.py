@@ -16,8 +16,8 @@ LIGAMENTS = ("ACL", "PCL", "LCL", "MCL")
 
 
 def protocol_in(*states: str) -> Protocol:
-    """Every other rotation of seed63 below 60 deg and the drawer trials in each state."""
-    both = concatenate([ik.load_protocol("seed63").select(range(0, 63, 2)), BASE], name="both")
+    """Every fourth rotation of seed63 below 60 deg and the drawer trials in each state."""
+    both = concatenate([ik.load_protocol("seed63").select(range(0, 63, 4)), BASE], name="both")
     kept = both.select(np.flatnonzero(both.flexion_deg < 60.0))
     return concatenate(
         [

@@ -30,7 +30,6 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     result = run("demo", "--runs", "1", "--budget", "60", "--out", out)
     assert result.exit_code == 0, result.output
-    assert said(load(out)) == said(ik.demo(runs=1, budget=60))
     assert "Short settings" in result.stderr
     for word in ("Complex", "Least-squares", "IG2", "IG4", "1 out of budget", "1 at a minimum"):
         assert word in result.stdout
@@ -56,6 +55,13 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     assert "95 % confidence" in result.stdout
     with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
         assert tree["fits"]["theta"].sizes == {"search": 4, "run": 1, "parameter": 8}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_trials")
+def test_python_tells_the_same_story(tmp_path: Path) -> None:
+    assert run("demo", "--runs", "1", "--budget", "60", "--out", tmp_path).exit_code == 0
+    assert said(load(tmp_path)) == said(ik.demo(runs=1, budget=60))
 
 
 @pytest.mark.slow

@@ -67,6 +67,7 @@ def test_arrays_and_pictures_are_left_beside(framed: tuple[Path, Path, str]) -> 
     assert {x.stem for x in out.glob("*.png")} == PICTURES
 
 
+@pytest.mark.slow
 def test_python_gives_the_same_answer(framed: tuple[Path, Path, str]) -> None:
     data, out, _ = framed
     answer = ik.diagnose(ik.reference_knee(), ik.read_laxity(data), start="IG2")

@@ -26,7 +26,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
-    words = ("sample", "reference", table, *HELD, "--budget", 1500, "--out", tmp_path)
+    words = ("sample", "reference", table, *HELD, "--budget", 700, "--out", tmp_path)
     result = run(*words, "--json")
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)

@@ -16,7 +16,7 @@ from identknee.identify.posterior.moves import (
 )
 from identknee.runs.declare import Array
 
-STEPS = 2000
+STEPS = 1000
 # Five standard errors, of variances from the effective draws of the squares.
 SIGMAS = 5.0
 

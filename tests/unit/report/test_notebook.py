@@ -28,6 +28,8 @@ ANSWERS: dict[str, Callable[[], Answer]] = {
     "profile": straight_profiles,
     "diagnose": partial(answered, FRAME),
 }
+# Beside these verbs, and the texts and figures of all, which have tests of their own.
+SLOW = ("diagnose", "sample", "morris", "sweep", "equivalents", "design")
 CELLS = (
     "import identknee as ik",
     "knee = ik.reference_knee()",
@@ -48,7 +50,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
     return ik.add_noise(laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
 
 
-@pytest.mark.parametrize("verb", some_slow(ANSWERS, ["diagnose"]))
+@pytest.mark.parametrize("verb", some_slow(ANSWERS, SLOW))
 def test_every_answer_is_short_to_see(verb: str) -> None:
     answer = ANSWERS[verb]()
     text, html = repr(answer), answer._repr_html_()
@@ -82,7 +84,7 @@ def test_help_fits_a_screen() -> None:
 def test_the_report_takes_answers_folders_or_both(data: ik.Laxity, tmp_path: Path) -> None:
     knee = ik.reference_knee()
     ik.simulate(knee, data.protocol, out=tmp_path / "one")
-    made = ik.fit(knee, data, start="IG2")
+    made = ik.fit(knee, data, budget=5, more_starts=0)
     page = ik.report([tmp_path / "one", made], tmp_path / "new" / "report.html")  # type: ignore[operator]
     text = page.read_text("utf-8")
     assert "simulate, fit" in text

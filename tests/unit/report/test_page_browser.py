@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from browsers import browser_in, console_errors, prefer, requests_out, resize
 from report_folders import fit_folder, profile_folder
+from slow_cases import some_slow
 
 from identknee.report.page.page import report_html
 from identknee.report.page.viewer import scene_of
@@ -140,16 +141,14 @@ def test_wide_figures_and_tables_scroll_by_themselves_and_by_keyboard(browser: A
     assert all(index == 0 and name for index, name in boxes)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("is_unfolded", [False, True])
-def test_no_rule_of_accessibility_is_broken(
-    browser: Any,
-    scheme: str,
-    is_unfolded: bool,
-) -> None:
+@pytest.mark.parametrize(
+    "seen",
+    some_slow(["light", "dark unfolded", "light unfolded", "dark"], ["light unfolded", "dark"]),
+)
+def test_no_rule_of_accessibility_is_broken(browser: Any, seen: str) -> None:
     axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
-    prefer(browser, scheme)
-    if is_unfolded:
+    prefer(browser, seen.split()[0])
+    if "unfolded" in seen:
         show_all(browser)
     browser.execute_script((files(axe) / "axe.min.js").read_text(encoding="utf-8"))
     assert browser.execute_async_script(BROKEN_RULES) == []
