@@ -36,6 +36,14 @@ def listed(path: Path, **words: str) -> dict[tuple[str, str], NotTaken]:
     return {(name, x.kind): x for x in found for name in x.names}
 
 
+def refused(path: Path, **words: str) -> InputError:
+    """How the import of a model is refused."""
+    with pytest.raises(InputError) as caught:
+        import_opensim(path, **words)  # type: ignore[arg-type]
+    assert caught.value.path == str(path)
+    return caught.value
+
+
 def changed(path: Path, name: str, change: Callable[[str], str]) -> Path:
     """The model with one of its ligaments written otherwise."""
     text = path.read_text(encoding="utf-8")
@@ -233,7 +241,8 @@ def test_a_line_between_points_of_other_bodies_is_no_ligament(tmp_path: Path, kn
     one = f'<{kind} name="it">{content.format("talus_r", "pelvis")}</{kind}>'
     path = edited(write_model(tmp_path, knee), _force(one))
     told = listed(path)["it", kind]
-    assert (told.is_line, told.why) == (False, "it does not act on a bone of this knee")
+    assert not told.is_line
+    assert "bone" in told.why
 
 
 def test_contact_that_is_switched_off_is_said(tmp_path: Path, knee: Knee) -> None:
@@ -245,7 +254,8 @@ def test_contact_that_is_switched_off_is_said(tmp_path: Path, knee: Knee) -> Non
         force = f'<{kind} name="it"><appliesForce>{off}</appliesForce></{kind}>'
         words[off] = listed(edited(write_model(folder, knee), _force(force)))["it", kind].why
     assert "switched off" in words["false"]
-    assert "law of identknee" in words["true"]
+    assert "switched" not in words["true"]
+    assert "identknee" in words["true"]
 
 
 def test_a_path_may_stand_in_another_element(tmp_path: Path, knee: Knee) -> None:
@@ -273,8 +283,9 @@ def test_a_ligament_whose_path_is_a_function_is_left_out(
 
 def test_a_model_of_another_class_alone_is_refused_by_its_name(tmp_path: Path, knee: Knee) -> None:
     path = edited(write_model(tmp_path, knee), (KIND, "Ligament"))
-    with pytest.raises(InputError, match="its ligaments are of class Ligament, which are not read"):
-        import_opensim(path)
+    told = refused(path)
+    assert told.where == "forces"
+    assert "class Ligament," in told.why
 
 
 def test_other_units_than_those_of_opensim_are_named(tmp_path: Path, knee: Knee) -> None:
@@ -288,14 +299,19 @@ def test_other_units_than_those_of_opensim_are_named(tmp_path: Path, knee: Knee)
         path.write_text(new, encoding="utf-8")
         return path
 
-    with pytest.raises(InputError, match=r"ligament ACL: its slack length is .* in metres"):
-        import_opensim(model("slack", "slack_length", lambda x: f"{1000 * x}"))
-    with pytest.raises(InputError, match=r"linear_stiffness of 42.3 N\. If these are kN"):
-        import_opensim(model("kN", "linear_stiffness", lambda x: f"{x / 1000}"))
+    slack = refused(model("slack", "slack_length", lambda x: f"{1000 * x}"))
+    assert slack.where == "ligament ACL"
+    assert "slack length" in slack.why
+    assert "metres" in slack.remedy
+    stiffness = refused(model("kN", "linear_stiffness", lambda x: f"{x / 1000}"))
+    assert stiffness.why.endswith(" linear_stiffness of 42.3 N")
+    assert "kN" in stiffness.remedy
+    assert "1000" in stiffness.remedy
     path = write_model(tmp_path, knee)
     edited(path, (">1 1 1</scale_factors>", ">1e3 1e3 1e3</scale_factors>"))
-    with pytest.raises(InputError, match=r"contact mesh femur_mesh: .* m across .*0\.001 each"):
-        import_opensim(path)
+    mesh = refused(path)
+    assert mesh.where.endswith(" femur_mesh")
+    assert "0.001" in mesh.remedy
 
 
 def test_a_number_that_is_missing_is_said_to_be(tmp_path: Path, knee: Knee) -> None:
@@ -304,8 +320,10 @@ def test_a_number_that_is_missing_is_said_to_be(tmp_path: Path, knee: Knee) -> N
         "ACL",
         lambda x: re.sub("<slack_length>.*</slack_length>", "", x),
     )
-    with pytest.raises(InputError, match=r"Ligament ACL: <slack_length> is missing\."):
-        import_opensim(path)
+    told = refused(path)
+    assert told.where == f"{KIND} ACL"
+    assert told.why.startswith("<slack_length> ")
+    assert "missing" in told.why
 
 
 def test_ligaments_elsewhere_are_named(tmp_path: Path, knee: Knee) -> None:
@@ -365,8 +383,9 @@ def test_a_flexion_axis_that_is_not_lateral_is_refused(
 ) -> None:
     path = write_model(tmp_path, knee)
     edited(path, ("</SpatialTransform>", TURN.format(axis, FLEXES)))
-    with pytest.raises(InputError, match=re.escape(f"flexion axis is {word}")):
-        import_opensim(path)
+    why = refused(path).why
+    assert "flexion" in why
+    assert f" {word} " in why
     edited(path, (f"<axis>{axis}</axis>\n<Lin", "<axis>0 0 -1</axis>\n<Lin"))
     assert len(import_opensim(path).ligaments) == 4
 
@@ -404,17 +423,20 @@ def test_other_axes_are_named(
         return f"<location>{' '.join(map(repr, place.tolist()))}</location>"
 
     path.write_text(re.sub("<location>([^<]*)</location>", turned, text), encoding="utf-8")
-    with pytest.raises(InputError, match=re.escape(words)) as caught:
-        import_opensim(path)
-    assert "x anterior, y superior, z to the right" in caught.value.remedy
+    told = refused(path)
+    assert words in told.why
+    axes = re.findall("([xyz]) (?:to the )?(anterior|superior|right)", told.remedy)
+    assert axes == [("x", "anterior"), ("y", "superior"), ("z", "right")]
+
+
+AXIS_OR_SIDE = re.compile(r"[+-]z|right|left")
 
 
 def test_collateral_ligaments_on_the_wrong_sides_are_refused(tmp_path: Path, knee: Knee) -> None:
     path = edited(
         write_model(tmp_path, knee), ('"MCL"', '"x"'), ('"LCL"', '"MCL"'), ('"x"', '"LCL"')
     )
-    with pytest.raises(InputError, match=re.escape("is -z, and must be +z in a right knee")):
-        import_opensim(path)
+    assert AXIS_OR_SIDE.findall(refused(path).why)[-3:] == ["-z", "+z", "right"]
 
 
 def _both_legs(folder: Path, knee: Knee) -> Path:
@@ -441,8 +463,7 @@ def _both_legs(folder: Path, knee: Knee) -> Path:
 
 def test_one_of_two_legs(tmp_path: Path, knee: Knee) -> None:
     path = _both_legs(tmp_path / "both", knee)
-    with pytest.raises(InputError, match="--side left or --side right"):
-        import_opensim(path)
+    assert re.findall(r"--side (\w+)", str(refused(path))) == ["left", "right"]
     right, left = (import_opensim(path, side=x) for x in ("right", "left"))
     assert (right.side, left.side) == ("right", "left")
     assert [x.name for x in left.ligaments] == ["ACL_l", "PCL_l", "LCL_l", "MCL_l"]
@@ -454,17 +475,16 @@ def test_one_of_two_legs(tmp_path: Path, knee: Knee) -> None:
     )
     assert told["talus_r", "Body"].why != told["talus_l", "Body"].why
     one_leg = write_model(tmp_path, knee)
-    with pytest.raises(InputError, match="one left femur"):
-        import_opensim(one_leg, side="left")
+    told_of_one = refused(one_leg, side="left")
+    assert told_of_one.where == "contact geometry"
+    assert "left femur" in told_of_one.why
 
 
 def test_a_side_that_no_name_tells_is_stated(tmp_path: Path, knee: Knee) -> None:
     path = edited(write_model(tmp_path, knee), ("_r<", "<"), ("knee_r", "knee"))
-    with pytest.raises(InputError, match="--side"):
-        import_opensim(path)
+    assert "--side" in refused(path).remedy
     assert import_opensim(path, side="right").side == "right"
-    with pytest.raises(InputError, match=r"is \+z, and must be -z in a left knee"):
-        import_opensim(path, side="left")
+    assert AXIS_OR_SIDE.findall(refused(path, side="left").why)[-3:] == ["+z", "-z", "left"]
 
 
 def _bridged(knee: Knee) -> Surface:
@@ -497,8 +517,9 @@ def test_a_tibia_in_one_piece_is_cut_between_the_plateaus(tmp_path: Path, knee: 
 def test_one_plateau_is_not_cut(tmp_path: Path, knee: Knee) -> None:
     path = write_model(tmp_path, knee)
     write_surface(knee.tibia[0].scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
-    with pytest.raises(InputError, match="it has one plateau"):
-        import_opensim(path)
+    told = refused(path)
+    assert told.where == "contact geometry"
+    assert "one plateau" in told.why
 
 
 @pytest.mark.parametrize("bone", ["femur", "tibia"])
@@ -540,8 +561,10 @@ def test_a_mesh_given_twice_counts_once(tmp_path: Path, knee: Knee) -> None:
     assert listed(path)["again", "Smith2018ContactMesh"].change == "left out"
     assert len(import_opensim(path).tibia[0].faces) == len(knee.tibia[0].faces)
     edited(path, ("tibia.stl", "femur.stl"))
-    with pytest.raises(InputError, match=r"the same mesh file, femur\.stl"):
-        import_opensim(path)
+    told = refused(path)
+    assert told.where.endswith(" tibia_mesh")
+    assert "same" in told.why
+    assert told.why.endswith(" femur.stl")
 
 
 @pytest.mark.parametrize(
