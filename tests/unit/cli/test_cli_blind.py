@@ -67,7 +67,7 @@ def test_a_wrong_name_is_wrong(folder: Path, tmp_path: Path) -> None:
 
 def test_mistakes_end_in_a_sentence(folder: Path, tmp_path: Path) -> None:
     assert "menicus" in refused("blind", "--effect", "menicus", "--out", tmp_path)
-    assert "no truth.json" in refused("reveal", tmp_path / "none", tmp_path)
+    assert "truth.json" in refused("reveal", tmp_path / "none", tmp_path)
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     assert "no verb" in refused("reveal", folder, tmp_path)
 

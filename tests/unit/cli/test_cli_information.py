@@ -38,8 +38,8 @@ def test_what_is_known_is_said_in_words_and_files(noisy: Path, tmp_path: Path) -
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    words = ("information", "reference", tmp_path / "none.csv", "--out", tmp_path)
-    assert "none.csv: there" in refused(*words)
+    none = tmp_path / "none.csv"
+    assert refused("information", "reference", none, "--out", tmp_path).startswith(f"{none}: ")
 
 
 def test_a_scaling_that_is_none_is_refused(noisy: Path) -> None:

@@ -19,7 +19,9 @@ def test_the_list_tells_source_licence_and_laxity() -> None:
     row = lines.index("s192803: left knee, 25 measured trials, licence CC0-1.0")
     assert lines[row + 1].split() == ["4", "ligaments:", "ACL,", "PCL,", "LCL,", "MCL"]
     assert lines[row + 2].endswith("Dryad, doi:10.5061/dryad.zkh1893gw")
-    assert "lenhart2015: right knee, no measured laxity, licence Apache-2.0" in lines
+    (other,) = (x for x in lines if x.startswith("lenhart2015: right knee,"))
+    assert "no measured" in other
+    assert other.endswith(" Apache-2.0")
 
 
 def test_the_list_as_json() -> None:

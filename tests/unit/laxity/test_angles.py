@@ -212,15 +212,17 @@ def test_degrees_that_no_line_states_are_not_taken_for_radians(tmp_path: Path) -
 def test_degrees_that_a_line_makes_radians_are_refused_by_that_line(
     line: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=f"the line {line} makes them radians for OpenSim"):
+    with pytest.raises(InputError, match=f" {line} .*OpenSim"):
         read_laxity(storage(tmp_path / "ramp.sto", line, deg=True))
 
 
 def test_radians_that_a_line_calls_degrees_are_named(tmp_path: Path) -> None:
     path = storage(tmp_path / "ramp.sto", "inDegrees=yes")
     path.write_text(path.read_text().replace("0.5\t", "0.4363323\t"))
-    with pytest.raises(InputError, match=r"flexion is in radians, .* Write inDegrees=no"):
+    with pytest.raises(InputError, match=r"0\.436332") as caught:
         read_laxity(path)
+    assert "radians" in caught.value.why
+    assert "inDegrees=no" in caught.value.remedy
 
 
 def test_a_sweep_of_flexion_in_radians_is_told_the_line(tmp_path: Path) -> None:
@@ -242,7 +244,7 @@ def test_a_time_of_another_name_is_told_the_line(name: str, tmp_path: Path) -> N
 def test_a_head_that_does_not_end_is_named(tmp_path: Path) -> None:
     path = storage(tmp_path / "ramp.sto", "version=1")
     path.write_text(path.read_text().replace("endheader\n", ""))
-    with pytest.raises(InputError, match="no line endheader ends its head"):
+    with pytest.raises(InputError, match="endheader"):
         read_laxity(path)
 
 
@@ -345,14 +347,15 @@ def test_angles_that_are_none_are_refused(stated: str, tmp_path: Path) -> None:
 
 
 def test_angles_that_no_ramp_reaches_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="flexion goes from 2 to 93 deg"):
+    with pytest.raises(InputError, match=r" 2 to 93 deg"):
         read_laxity(swept(tmp_path / "sweep.csv", head="# angles: 120"))
 
 
 def test_a_load_that_changes_while_flexing_is_refused(tmp_path: Path) -> None:
     path = swept(tmp_path / "sweep.csv", noise=60.0)
-    with pytest.raises(InputError, match="while a load changes"):
+    with pytest.raises(InputError, match=r" 91\.0 deg ") as caught:
         read_laxity(path)
+    assert "load changes" in caught.value.why
 
 
 def test_jumps_of_a_turn_in_a_series_are_given_back(tmp_path: Path) -> None:

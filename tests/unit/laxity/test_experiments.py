@@ -1,5 +1,6 @@
 """States in tables and protocols, several tables as one laxity, and experiments.toml."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,8 +83,9 @@ def test_a_column_of_states_is_read_and_written(tmp_path: Path) -> None:
     assert whole.protocol.state is None
     text = path.read_text().replace("cut: ACL", "severed")
     path.write_text(text)
-    with pytest.raises(ik.InputError, match=r"row 6, column state.*severed"):
+    with pytest.raises(ik.InputError, match="severed") as caught:
         ik.read_laxity(path)
+    assert caught.value.where == "row 6, column state"
 
 
 def test_a_protocol_has_states(tmp_path: Path) -> None:
@@ -97,8 +99,9 @@ def test_a_protocol_has_states(tmp_path: Path) -> None:
     assert protocol.state == ("intact", "intact", "cut: ACL", "cut: ACL")
     assert protocol.trials[2:] == ("flexion30_unloaded_cut_ACL", "flexion30_anterior100N_cut_ACL")
     path.write_text(path.read_text().replace("cut: ACL", "gone"))
-    with pytest.raises(ik.InputError, match=r"block 2, state.*gone"):
+    with pytest.raises(ik.InputError, match="gone") as caught:
         ik.load_protocol(path)
+    assert caught.value.where.endswith(" block 2, state")
 
 
 def test_changes_are_counted_within_one_experiment_and_state() -> None:
@@ -206,7 +209,7 @@ def test_trials_are_appended_with_their_state() -> None:
     )
     both = concatenate([PROTOCOL, cut])
     assert both.state == ("intact",) * PROTOCOL.n + ("cut: ACL",) * PROTOCOL.n
-    with pytest.raises(ValueError, match="two different trials"):
+    with pytest.raises(ValueError, match=re.escape(repr(PROTOCOL.trials[0]))):
         concatenate([PROTOCOL, replace(PROTOCOL, state=("cut: ACL",) * PROTOCOL.n)])
     assert candidate_trials(both, [0]).n > both.n
 

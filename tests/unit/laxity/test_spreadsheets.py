@@ -104,7 +104,7 @@ def test_a_sign_for_thousands_among_decimal_commas_is_no_decimal_sign(tmp_path: 
     for number in ("1,5;", "-10,25;0,5;"):
         changed = german.replace(number, number.replace(number[-4:], "1.000;"))
         assert changed != german
-        with pytest.raises(InputError, match="has another decimal sign"):
+        with pytest.raises(InputError, match=r"1\.000 .*decimal sign"):
             read(tmp_path / "b.csv", changed)
 
 

@@ -31,7 +31,7 @@ def test_changes_are_counted_from_the_mean_unloaded_pose_of_the_angle() -> None:
 def test_changes_from_the_opposite_trial_have_no_unloaded_pose() -> None:
     blank = np.full((9, 5), np.nan)
     laxity = Laxity(protocol=load_protocol("drawer"), coordinates=blank, zero="opposite")
-    with pytest.raises(ValueError, match="give absolute coordinates"):
+    with pytest.raises(ValueError, match="absolute coordinates"):
         relative_to_unloaded(laxity)
 
 

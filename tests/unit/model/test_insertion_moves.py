@@ -68,7 +68,13 @@ def test_a_move_restores_what_it_says(model: LaxityModel) -> None:
     idle = next(x for x in moves if x.n_restored == 0)
     for move in (*telling, idle):
         assert converged(built(model.knee, move), model) - before == move.n_restored
-    assert moves[0].words == "ACL on the femur 3 mm laterally"
+    best = moves[0]
+    assert (best.ligament, best.bone, best.distance_mm, best.direction) == (
+        *("ACL", "femur"),
+        *(3.0, "laterally"),
+    )
+    parts = (best.ligament, best.bone, "3 mm", best.direction)
+    assert [x for x in parts if x not in best.words] == []
 
 
 def test_a_knee_settles_within_its_uncertainty(model: LaxityModel) -> None:

@@ -23,6 +23,7 @@ from identknee.model.force_residuals import (
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.declare import Array
+from identknee.runs.errors import ValueRefused
 from identknee.subject.knee import Uncertainty
 
 PROTOCOL = ik.load_protocol("table2").select([2, 3])
@@ -249,8 +250,9 @@ def test_what_was_cut_before_has_no_force() -> None:
     model = LaxityModel(knee=bundled_knee(), protocol=protocol)
     made = _made(_model(bundled_knee()), [(A, "MCL", "intact", "cut: MCL")])
     later = replace(made, before=("cut: MCLa, MCLp",), after=("cut: MCL, MCLa, MCLp",))
-    with pytest.raises(ValueError, match="cut before this path"):
+    with pytest.raises(ValueRefused, match="cut before") as caught:
         SuperpositionResiduals(model=model, superposition=later)
+    assert caught.value.why.startswith("MCL in ")
     wrong = replace(made, cut=("XYZ",), after=("cut: XYZ",))
     with pytest.raises(ValueError, match="XYZ"):
         SuperpositionResiduals(model=model, superposition=wrong)

@@ -66,7 +66,7 @@ def test_several_panels_do_not_go_into_one_axes() -> None:
     answer = straight_profiles()
     own = Figure(layout="constrained")
     axes = own.subplots()
-    with pytest.raises(ValueError, match=r"'profiles' cannot .* several panels.*subfigures"):
+    with pytest.raises(ValueError, match=r"'profiles'.*subfigures"):
         answer.plot("profiles", ax=axes)
     assert not axes.has_data()
     # What failed leaves nothing behind.
@@ -99,9 +99,9 @@ def test_a_width_is_kept_and_letters_stay_legible(width_mm: float) -> None:
 
 def test_a_width_in_which_texts_do_not_fit_is_refused_with_one_that_does() -> None:
     answer = ik.load(RESULTS / "simulate")
-    with pytest.raises(ValueError, match=r"do not fit into 30 mm; give 89 mm"):
+    with pytest.raises(ValueError, match=r" 30 mm; .* 89 mm"):
         answer.plot("laxity-all", width_mm=30.0)
-    with pytest.raises(ValueError, match="leave it out where ax is given"):
+    with pytest.raises(ValueError, match=r"width_mm\b.*\bax\b"):
         answer.plot("laxity", ax=Figure(), width_mm=89.0)
 
 
@@ -146,11 +146,11 @@ def test_what_a_knee_carries_is_drawn_on_its_own_and_into_a_subfigure() -> None:
 def test_a_knee_that_is_not_that_of_the_result_is_not_drawn() -> None:
     answer = ik.load(RESULTS / "fit")
     other = ik.example("lenhart2015")
-    with pytest.raises(ValueError, match=r"not shown.*has changed since.*Give it as knee="):
+    with pytest.raises(ValueError, match=r"changed since.* knee="):
         answer.plot("knee-loads", knee=other)
-    with pytest.raises(ValueError, match=r"no figure 'knee'; choose from .*all-forces"):
+    with pytest.raises(ValueError, match=r"'knee'; .*\ball-forces\b"):
         answer.plot("knee")
-    with pytest.raises(ValueError, match="no figure 'knee-loads'"):
+    with pytest.raises(ValueError, match=r"'knee-loads'; .*\bspectrum, "):
         ik.load(RESULTS / "information").plot("knee-loads")
 
 
@@ -211,6 +211,6 @@ def test_the_command_writes_them_beside_each_other(tmp_path: Path) -> None:
     assert f'width="{width:.6f}'[:10] in (tmp_path / "figures" / names[1]).read_text("utf-8")
     assert "add --figures" in refused("report", RESULTS / "information", *out, "--data", "csv")
     narrow = ("--figures", "svg", "--width", "20")
-    assert "information-spectrum: the texts" in refused(
-        "report", RESULTS / "information", *out, *narrow
-    )
+    said = refused("report", RESULTS / "information", *out, *narrow)
+    assert said.startswith("information-spectrum: ")
+    assert " 20 mm" in said

@@ -174,7 +174,8 @@ def test_the_answer_is_a_verdict_and_a_table(page: str) -> None:
     assert answer.count('class="verdict wrong"') == 1
     assert answer.count('class="overview"') == 1
     # Nothing of it is folded but the ranges of each method.
-    assert re.findall("<summary>(.+?)</summary>", answer) == ["What each method says"]
+    assert answer.count("<summary>") == 1
+    assert answer.index('class="overview"') < answer.index("<summary>")
     answer = answer[: answer.index("<details")]
     assert answer.count('<th scope="row">') == len(set(re.findall(r'row">([^<]+)', answer))) > 2
 
@@ -217,7 +218,7 @@ def test_a_fit_alone_says_its_parameters_at_once() -> None:
     given = Table(title="Fitted parameters", columns=(Column("parameter"),), rows=(("ACL",),))
     fitted = replace(overview([untestable("Silence.")]), rows=(), searches=("The fit ended.",))
     lead = lead_of(fitted, [], Markup(""), [given], [])
-    assert str(parts().lead(lead, "findings-1", 2)).count("Fitted parameters</caption>") == 1
+    assert str(parts().lead(lead, "findings-1", 2)).count(f"{given.title}</caption>") == 1
     others = replace(overview([answered(FRAME)]), searches=("The fit ended.",))
     assert others.rows
     assert lead_of(others, [], Markup(""), [given], []).fitted == ()
@@ -227,8 +228,10 @@ def test_a_page_of_a_simulation_begins_with_what_it_says() -> None:
     page = report_html(found_results(Path(__file__).parents[2] / "fuzz" / "results" / "simulate"))
     answer = page[page.index('id="answer-1"') : page.index("<nav")]
     (sentence,) = re.findall('"verdict open">(.+?)</p>', answer)
-    assert sentence.startswith("All 7 simulated trials have a stable pose.")
-    assert page.count("simulated trials have a stable pose") == 1
+    first, *_ = sentence.split(". ")
+    assert re.findall(r"\d+", first) == ["7"]
+    assert "stable" in first
+    assert page.count(first) == 1
 
 
 @pytest.mark.slow

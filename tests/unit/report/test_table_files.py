@@ -48,7 +48,8 @@ def test_a_csv_has_full_precision_and_its_notes_in_comment_lines() -> None:
     assert lines[2] == f"# {NOTE}"
     rows = list(csv.reader(x for x in lines if not x.startswith("#")))
     assert rows == [["name", "force [N]"], ["ACL", repr(1.0 / 3.0)], ["PCL", ""]]
-    assert "A dash is an end that is open" in lines[1]
+    assert "dash" in lines[1]
+    assert "open" in lines[1]
 
 
 def test_latex_has_nothing_that_it_would_trip_over() -> None:
@@ -83,7 +84,7 @@ def test_a_name_comes_from_the_title_and_two_of_one_name_have_numbers() -> None:
 
 def test_a_form_that_is_none_is_refused() -> None:
     assert forms_of("csv, latex") == ("csv", "latex")
-    with pytest.raises(ValueError, match="--tables word: it is none of csv, latex, markdown"):
+    with pytest.raises(ValueError, match=r"--tables word\b.* csv, latex, markdown"):
         forms_of("csv,word")
 
 
@@ -103,8 +104,13 @@ def test_estimates_are_the_numbers_of_the_page() -> None:
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_table_of_a_stored_result_can_be_had(verb: str) -> None:
     answer = ik.load(RESULTS / verb)
-    with pytest.raises(ValueError, match=r"there is no table 'none'; choose from [a-z]|no table;"):
+    with pytest.raises(ValueError, match="no table") as caught:
         answer.to_dataframe("none")
+    # What is offered in its place can be had.
+    told = str(caught.value)
+    offered = told.partition(" from ")[2].split(", ") if "'none'" in told else []
+    for name in offered:
+        answer.to_dataframe(name)
     results = found_results(RESULTS / verb)
     found = report_tables(results)
     own_verb = results[0].verb

@@ -164,7 +164,9 @@ def test_workers_that_cannot_import_their_script_are_told_from_those_that_die(
 
 def test_a_script_that_is_no_file_is_named(tmp_path: Path) -> None:
     ended = _ended(["-"], tmp_path, given=f"{IMPORTS}{USE}")
-    assert "save it as a file" in ended.stderr.strip().splitlines()[-1]
+    last = ended.stderr.strip().splitlines()[-1]
+    assert last.startswith("identknee.runs.executors.WorkerTerminated")
+    assert "as a file" in last
 
 
 def _ended(

@@ -54,7 +54,9 @@ def test_how_to_shorten_long_work_is_said_once(
     with planned("all", work, shorter="Less."), progress_bar("first", 100) as advance:
         for now[0] in (10.0, 20.0, 30.0):
             advance(2)
-    assert capsys.readouterr().err.count("8 min left. Less.") == 1
+    said = capsys.readouterr().err
+    assert said.count("Less.") == 1
+    assert "8 min left" in said.partition("Less.")[0]
 
 
 def test_nothing_is_shown_for_short_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,12 +77,12 @@ def test_a_bar_is_shown_for_long_work_on_a_terminal(
     with progress_bar("simulating", total) as advance:
         advance(1)
         deadline = time.monotonic() + 20
-        advance.say("said before it is shown")
+        advance.say("said-before")
         while "said" not in terminal.getvalue() and time.monotonic() < deadline:
             time.sleep(0.01)
         advance(3)
     assert "simulating" in terminal.getvalue()
-    assert terminal.getvalue().count("identknee: said before it is shown") == 1
+    assert terminal.getvalue().count("identknee: said-before") == 1
     assert "4/" in terminal.getvalue()
 
 

@@ -68,7 +68,7 @@ def test_the_mcl_of_the_measured_knee_runs_over_the_medial_tibia() -> None:
 
 
 def test_what_cannot_wrap_is_refused() -> None:
-    with pytest.raises(ValueError, match="no surfaces of its bones"):
+    with pytest.raises(ValueError, match="no surfaces"):
         with_wraps(ik.reference_knee(), ["MCL"])
     with pytest.raises(ValueError, match="called XCL"):
         with_wraps(knee_with_bones(), ["XCL"])

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 import identknee as ik
+from identknee.subject.folder import NAME
 from identknee.subject.surface import write_surface
 from identknee.verbs.verb import knee_digest
 
@@ -118,5 +119,5 @@ def _mirrored_ligaments() -> pd.DataFrame:
 def test_a_mistake_is_named_with_its_remedy(changed: dict[str, Any], said: str) -> None:
     with pytest.raises(ik.InputError) as caught:
         ik.read_subject(tables(**changed))
-    assert str(caught.value).startswith("subject in memory")
+    assert caught.value.path == NAME
     assert said in str(caught.value)

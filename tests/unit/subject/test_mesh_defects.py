@@ -289,7 +289,7 @@ def test_a_file_of_another_kind_is_named(
         write_polygons(tmp_path / f"made.{held}", clean.vertices, clean.faces.tolist())
         texts[held] = (tmp_path / f"made.{held}").read_bytes()
     (tmp_path / f"a.{named}").write_bytes(texts[held])
-    with pytest.raises(InputError, match=f"it holds an? {held.upper()} file"):
+    with pytest.raises(InputError, match=f" {held.upper()} file"):
         read_surface(tmp_path / f"a.{named}")
 
 
@@ -297,8 +297,10 @@ def test_a_file_of_another_kind_is_named(
 def test_decimal_commas_are_named(tmp_path: Path, clean: Surface, ending: str) -> None:
     text = _text_stl(clean) if ending == "stl" else _obj(clean)
     (tmp_path / f"a.{ending}").write_text(text.replace(".", ","))
-    with pytest.raises(InputError, match="Export it with decimal points"):
+    with pytest.raises(InputError, match="'2,0 ") as caught:
         read_surface(tmp_path / f"a.{ending}")
+    assert caught.value.where == "vertex 1"
+    assert "decimal points" in caught.value.remedy
 
 
 @pytest.mark.parametrize("vertex", ["99999", "-99999"])
@@ -307,7 +309,7 @@ def test_a_vertex_that_is_not_there_is_named_by_its_line(
 ) -> None:
     text = _obj(clean)
     (tmp_path / "a.obj").write_text(f"{text}\nf 1 2 {vertex}\n")
-    with pytest.raises(InputError, match="a face has vertex") as caught:
+    with pytest.raises(InputError, match=r" -?99\d\d\d, .* 169 ") as caught:
         read_surface(tmp_path / "a.obj")
     assert caught.value.where == f"line {len(text.splitlines()) + 1}"
 
@@ -315,7 +317,7 @@ def test_a_vertex_that_is_not_there_is_named_by_its_line(
 def test_a_count_that_is_too_large_may_be_a_file_cut_off(tmp_path: Path, clean: Surface) -> None:
     (tmp_path / "a.stl").write_bytes(binary_stl(clean)[: -50 * 9])
     (clause,) = read_surface(tmp_path / "a.stl").repairs.clauses
-    assert "or the file was cut off" in clause
+    assert "cut off" in clause
 
 
 @pytest.mark.parametrize("counted", [-3, -40, 0])

@@ -35,7 +35,11 @@ def test_thirds_of_the_plateaus(reference: Knee) -> None:
     acl = reference.ligament("ACL")
     place = name_of_place(reference, acl.femur, acl.tibia)
     assert place.sides[0][0] == "central"
-    assert place.sentence.startswith("anterior third, central: ACL 0.9")
+    assert place.thirds[0][0] == "anterior"
+    where, _, shares = place.sentence.partition(": ")
+    assert where.startswith("anterior ")
+    assert where.endswith(" central")
+    assert shares.startswith("ACL 0.9")
 
 
 def test_a_line_slid_along_itself_keeps_its_names(reference: Knee) -> None:

@@ -1,5 +1,6 @@
 """What a subject states of its uncertainty: read, written, overridden and refused."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,8 +53,9 @@ def test_options_override_part_by_part() -> None:
 
 def test_every_part_is_told_as_uncertain_or_exact() -> None:
     stated = Uncertainty(insertions_mm=2.0, load_gain=0.03)
-    assert "insertions (2 mm), load gain (3 %)" in stated.sentence
-    assert "contact modulus" in stated.sentence.partition("As exact:")[2]
+    uncertain, _, exact = stated.sentence.partition("As exact:")
+    assert re.findall(r"(\w+) \((.+?)\)", uncertain) == [("insertions", "2 mm"), ("gain", "3 %")]
+    assert "contact modulus" in exact
     assert stated.words["flexion_deg"] == "exact"
     assert EXACTLY.is_exact
     assert "--uncertain" in EXACTLY.sentence

@@ -6,6 +6,7 @@ from quick_calls import ALL_BUT_FOUR, quick, quick_verbs
 
 import identknee as ik
 from identknee.laxity.table import COORDINATES
+from identknee.verbs.answer import IN_WORDS
 from identknee.verbs.values import SMOOTH
 
 SD = 0.3
@@ -36,9 +37,7 @@ def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:
     assert found.question is not None
     assert plain.question.discrepancy is None
     assert found.question.discrepancy == SMOOTH
-    assert found.question.differences(plain.question) == (
-        "error of the model that is marginalised",
-    )
+    assert found.question.differences(plain.question) == (IN_WORDS["discrepancy"],)
     table = {x.evidence[0].name: x.evidence[0].deviance for x in (plain, found)}
     assert len(table) == 1
     assert found.evidence[0].deviance < 0.7 * plain.evidence[0].deviance
@@ -64,5 +63,5 @@ def test_it_is_refused_without_a_noise(bent: ik.Laxity) -> None:
 
 @pytest.mark.parametrize("given", ["rough", "-1mm,1deg", "1mm"])
 def test_what_is_no_size_is_refused(given: str, bent: ik.Laxity) -> None:
-    with pytest.raises(ValueError, match="scales of its prior"):
+    with pytest.raises(ValueError, match=f"discrepancy {given}: "):
         ik.information("reference", bent, fixed=ALL_BUT_FOUR, discrepancy=given)

@@ -1,5 +1,6 @@
 """Trials that are planned for `design`, before there are data."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -29,12 +30,9 @@ def test_planned_trials_without_equilibrium_are_named() -> None:
         cost="cut=never,force=never,contact=never",
     )
     assert FAR not in answer.trials_used
-    assert [x for x in answer.assumptions if "planned" in x] == [
-        f"Of the planned trials {FAR} has no equilibrium of the subject as it stands: {REST}"
+    assert [(FAR in x, "others" in x) for x in answer.assumptions if "planned" in x] == [
+        (True, True)
     ]
-
-
-REST = "the advice rests on the others."
 
 
 def test_nothing_is_said_of_a_plan_that_holds() -> None:
@@ -43,5 +41,5 @@ def test_nothing_is_said_of_a_plan_that_holds() -> None:
     blank = np.array(whole.coordinates)
     blank[[0, 2]] = np.nan
     (sentence,) = lost_plan_sentence(replace(whole, coordinates=blank, sd=None))
-    first, third = (whole.protocol.trials[i] for i in (0, 2))
-    assert sentence.startswith(f"Of the planned trials {first} and {third} have no equilibrium")
+    trials = whole.protocol.trials
+    assert [x for x in trials if re.search(rf"\b{x}\b", sentence)] == [trials[0], trials[2]]

@@ -12,6 +12,7 @@ import identknee as ik
 from identknee.calibrate.problem import PLAUSIBILITY_TERM
 from identknee.identify.profile.result import ProfileVerdict
 from identknee.subject.plausibility import Limit
+from identknee.verbs.answer import IN_WORDS
 from identknee.verbs.fitted_knee import fitted_knee
 
 LIMIT = Limit(form="strength", quantity="ACL.tension_N", size=200.0, spread=20.0)
@@ -39,7 +40,7 @@ def test_limits_count_in_the_deviance_of_every_verb(verb: str, laxity: ik.Laxity
     assert found.question is not None
     assert plain.question.plausibility == ()
     assert found.question.plausibility == (LIMIT.name,)
-    assert found.question.differences(plain.question) == ("limits of plausibility",)
+    assert found.question.differences(plain.question) == (IN_WORDS["plausibility"],)
     assert PLAUSIBILITY_TERM not in {x.name for x in plain.evidence}
     term = next(x for x in found.evidence if x.name == PLAUSIBILITY_TERM)
     assert term.n == 1

@@ -12,6 +12,7 @@ from quick_calls import ALL_BUT_ACL, quick, quick_verbs
 import identknee as ik
 from identknee.calibrate.problem import LIGAMENT_TERM, TABLE_TERM
 from identknee.subject.knee import StatedPrior
+from identknee.verbs.answer import IN_WORDS
 
 pytestmark = pytest.mark.usefixtures("no_conventions")
 
@@ -93,7 +94,8 @@ def test_a_question_says_what_was_asked_and_in_what_it_differs(laxity: ik.Laxity
     assert last not in other.trials
     assert other.left_out_by_name == (last,)
     assert plain.differences(plain) == ()
-    assert set(plain.differences(other)) == {"trials", "noise of lengths", "bounds"}
+    changed = {IN_WORDS[x] for x in ("trials", "noise_mm", "bounds")}
+    assert set(plain.differences(other)) == changed
 
 
 @pytest.mark.usefixtures("short_searches")
