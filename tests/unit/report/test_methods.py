@@ -121,9 +121,9 @@ def test_each_verb_says_how_it_went_about_it() -> None:
     assert isinstance(fitted, ik.Calibration)
     search = replace(fitted.search, method="complex")
     words = changed(replace(fitted, search=search, start="IG3"), more_starts=7)
-    own = new(fitted, words)
-    assert own.index("complex") < own.index("IG3")
-    assert "7" in NUMBER.findall(own)
+    search_words = new(fitted, words)
+    assert search_words.index("complex") < search_words.index("IG3")
+    assert "7" in NUMBER.findall(search_words)
     assert "Box (1965)" in words
     assert "Box (1965)" not in fitted.methods()
     assert "Student's t" in changed(fitted, likelihood="student")

@@ -126,9 +126,9 @@ def test_misfit_compares_of_the_same_data_and_noise_alone(folders: Path) -> None
     made = ik.compare({"soft": fitted, "stiff": stiff})
     assert made.is_misfit_comparable
     # Priors are no data.
-    soft, _, stiff = said_of_misfit(made).partition("lowest")
-    assert "soft" in soft
-    assert stiff.endswith("stiff by 3.")
+    lowest, _, higher = said_of_misfit(made).partition("lowest")
+    assert "soft" in lowest
+    assert higher.endswith("stiff by 3.")
     assert [x.n_fitted for x in made.misfits] == [2, 2]
     quiet = replace(fitted, question=replace(fitted.question, noise_mm=0.1))
     noisy = ik.compare([fitted, quiet], names=["a", "b"])
