@@ -11,7 +11,6 @@ See and keep it      compare, report, scene, scene_3d, load, write_laxity, write
     import identknee as ik
     knee = ik.reference_knee()
     answer = ik.fit(knee, ik.simulate(knee, noise="0.3mm,0.3deg").noisy, start="IG2")
-    answer.plot()
     ik.report(answer, "report.html")
 
 An answer prints as sentences and shows table and figure in a notebook. help(ik.fit) explains one
