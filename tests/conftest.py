@@ -12,7 +12,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
-from _pytest.doctest import DoctestModule
 from few_starts import use_few_starts
 from golden_texts import Golden, kept_text
 from hypothesis import HealthCheck, settings
@@ -98,7 +97,7 @@ def pytest_collect_file(
     # Where there are no examples, looking for some takes as long as the import.
     found = yield
     if file_path.suffix == ".py" and ">>>" not in file_path.read_text("utf-8"):
-        return [x for x in found if not isinstance(x, DoctestModule)]
+        return [x for x in found if type(x) is pytest.Module]
     return found
 
 

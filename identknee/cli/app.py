@@ -259,10 +259,15 @@ class WaitingCommand(typer.core.TyperCommand):
 
 def _verbs_with(option: str) -> str:
     """Names of the verbs that have an option; empty if none has."""
-    from identknee.verbs.options import parameters_in_full
+    from identknee.verbs.options import option_of, parameters_in_full
 
-    name = option.removeprefix("--").replace("-", "_")
-    return ", ".join(x.name for x in verbs() if x.summary and name in parameters_in_full(x.call))
+    def flags(verb: Verb) -> Iterator[str]:
+        for name, own in parameters_in_full(verb.call).items():
+            stated = option_of(own.annotation)
+            if stated.is_typed and not stated.is_argument:
+                yield stated.flag or f"--{name.replace('_', '-')}"
+
+    return ", ".join(x.name for x in verbs() if x.summary and option in flags(x))
 
 
 def command_of(verb: Verb) -> typer.core.TyperCommand:

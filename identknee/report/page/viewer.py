@@ -265,7 +265,7 @@ def _line_names(model: LaxityModel, theta: Array) -> list[str]:
 
 MICROMETRES = 1000.0  # in a mm
 MARGIN = 8.0  # mm around what is drawn
-NAMES = np.array([0.0, 16.0, 0.0])  # mm below it, where ligaments end and their names stand
+ROOM_FOR_NAMES = np.array([0.0, 16.0, 0.0])  # mm below it, where the names of ligaments stand
 SHAFT = 38.0  # mm, length of the strokes that stand for the bones' shafts
 
 
@@ -394,7 +394,7 @@ def _box(scene: KneeScene, mirror: Array) -> Array:
     moving = np.concatenate(tibial)
     places = np.concatenate([*femoral, *(x.placement.to_femur(moving) for x in scene.trials)])
     seen = places * mirror
-    return np.stack([seen.min(axis=0) - MARGIN - NAMES, seen.max(axis=0) + MARGIN])
+    return np.stack([seen.min(axis=0) - MARGIN - ROOM_FOR_NAMES, seen.max(axis=0) + MARGIN])
 
 
 def _rounded(values: Array, decimals: int) -> Any:

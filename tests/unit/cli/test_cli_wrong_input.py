@@ -41,3 +41,5 @@ def test_the_verbs_that_have_an_unknown_option_are_named() -> None:
     assert found.exit_code == 2
     assert " sweep" in found.stderr
     assert " sweep" not in run("fit", "reference", "data.csv", "--n-startings", "3").stderr
+    assert " profile" in run("sweep", "reference", "data.csv", "--quantity", "x").stderr
+    assert " profile" not in run("fit", "--subject", "reference").stderr

@@ -60,8 +60,8 @@ def test_tables_and_methods_lie_beside_the_page(folder: Path, tmp_path: Path) ->
     names = {x.name for x in (tmp_path / "tables").iterdir()}
     tables = ("fit-fitted-parameters", "simulate-largest-ligament-forces")
     assert names == {f"{x}.{form}" for x in tables for form in ("csv", "tex")}
-    (told,) = [x for x in result.stdout.splitlines() if x.endswith(str(tmp_path / "tables"))]
-    assert re.findall(r"\b\d+\b", told.removesuffix(str(tmp_path / "tables"))) == ["4"]
+    (line,) = [x for x in result.stdout.splitlines() if x.endswith(str(tmp_path / "tables"))]
+    assert re.findall(r"\b\d+\b", line.removesuffix(str(tmp_path / "tables"))) == ["4"]
     text = (tmp_path / "methods.md").read_text(encoding="utf-8")
     assert [x for x in text.splitlines() if x.startswith("#")] == [
         *("# Methods", "## simulate (simulate)", "## fit (fit)")

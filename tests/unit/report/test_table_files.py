@@ -107,8 +107,8 @@ def test_every_table_of_a_stored_result_can_be_had(verb: str) -> None:
     with pytest.raises(ValueError, match="no table") as caught:
         answer.to_dataframe("none")
     # What is offered in its place can be had.
-    told = str(caught.value)
-    offered = told.partition(" from ")[2].split(", ") if "'none'" in told else []
+    why = str(caught.value)
+    offered = why.partition(" from ")[2].split(", ") if "'none'" in why else []
     for name in offered:
         answer.to_dataframe(name)
     results = found_results(RESULTS / verb)

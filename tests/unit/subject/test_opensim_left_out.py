@@ -71,8 +71,8 @@ def test_a_ligament_that_applies_no_force_is_left_out(
     )
     found = imported_knee(path, bundles=bundles)  # type: ignore[arg-type]
     assert [x.name for x in found.knee.ligaments] == ["PCL", "LCL", "MCL"]
-    (told,) = [x for x in left_out_of(found) if "ACL" in x.names]
-    assert (told.kind, told.change, told.is_line) == (KIND, "left out", True)
+    (refusal,) = [x for x in left_out_of(found) if "ACL" in x.names]
+    assert (refusal.kind, refusal.change, refusal.is_line) == (KIND, "left out", True)
     assert "ACL" in found.knee.description
 
 
@@ -127,8 +127,8 @@ def test_ligaments_of_other_classes_are_named(
     tmp_path: Path, knee: Knee, kind: str, bundles: str
 ) -> None:
     path = changed(write_model(tmp_path, knee), "LCL", lambda x: x.replace(KIND, kind))
-    told = listed(path, bundles=bundles)["LCL", kind]
-    assert (told.change, told.is_line) == ("left out", True)
+    refusal = listed(path, bundles=bundles)["LCL", kind]
+    assert (refusal.change, refusal.is_line) == ("left out", True)
     assert "LCL" not in [x.name for x in import_opensim(path).ligaments]
 
 
@@ -231,8 +231,8 @@ def test_a_line_between_points_is_a_ligament_that_is_left_out(
         edited(path, ("<length_units>", f"<components>{line}</components><length_units>"))
     else:
         edited(path, _force(line))
-    told = listed(path, bundles=bundles)["PCL_spring", kind]
-    assert (told.change, told.is_line) == ("left out", True)
+    refusal = listed(path, bundles=bundles)["PCL_spring", kind]
+    assert (refusal.change, refusal.is_line) == ("left out", True)
     assert [x.name for x in import_opensim(path).ligaments] == ["ACL", "LCL", "MCL"]
 
 
@@ -240,9 +240,9 @@ def test_a_line_between_points_of_other_bodies_is_no_ligament(tmp_path: Path, kn
     kind, content = POINTS[1]
     one = f'<{kind} name="it">{content.format("talus_r", "pelvis")}</{kind}>'
     path = edited(write_model(tmp_path, knee), _force(one))
-    told = listed(path)["it", kind]
-    assert not told.is_line
-    assert "bone" in told.why
+    refusal = listed(path)["it", kind]
+    assert not refusal.is_line
+    assert "bone" in refusal.why
 
 
 def test_contact_that_is_switched_off_is_said(tmp_path: Path, knee: Knee) -> None:
@@ -283,9 +283,9 @@ def test_a_ligament_whose_path_is_a_function_is_left_out(
 
 def test_a_model_of_another_class_alone_is_refused_by_its_name(tmp_path: Path, knee: Knee) -> None:
     path = edited(write_model(tmp_path, knee), (KIND, "Ligament"))
-    told = refused(path)
-    assert told.where == "forces"
-    assert "class Ligament," in told.why
+    refusal = refused(path)
+    assert refusal.where == "forces"
+    assert "class Ligament," in refusal.why
 
 
 def test_other_units_than_those_of_opensim_are_named(tmp_path: Path, knee: Knee) -> None:
@@ -320,18 +320,18 @@ def test_a_number_that_is_missing_is_said_to_be(tmp_path: Path, knee: Knee) -> N
         "ACL",
         lambda x: re.sub("<slack_length>.*</slack_length>", "", x),
     )
-    told = refused(path)
-    assert told.where == f"{KIND} ACL"
-    assert told.why.startswith("<slack_length> ")
-    assert "missing" in told.why
+    refusal = refused(path)
+    assert refusal.where == f"{KIND} ACL"
+    assert refusal.why.startswith("<slack_length> ")
+    assert "missing" in refusal.why
 
 
 def test_ligaments_elsewhere_are_named(tmp_path: Path, knee: Knee) -> None:
     patellar = LIGAMENT.format(
         name="PT", side="r", femur="0 0 0", tibia="0 0 1", stiffness=1, slack=1, via=""
     ).replace("femur_r", "patella_r")
-    told = listed(edited(write_model(tmp_path, knee), _force(patellar)))["PT", KIND]
-    assert (told.change, told.is_line) == ("left out", False)
+    refusal = listed(edited(write_model(tmp_path, knee), _force(patellar)))["PT", KIND]
+    assert (refusal.change, refusal.is_line) == ("left out", False)
 
 
 def _point(kind: str) -> Callable[[str], str]:
@@ -350,8 +350,8 @@ def test_ends_that_move_or_hold_in_a_range(tmp_path: Path, knee: Knee) -> None:
     )
     via = '<ConditionalPathPoint name="v"></ConditionalPathPoint><PathPoint name="b">'
     changed(path, "MCL", lambda x: x.replace('<PathPoint name="b">', via))
-    told = listed(path)
-    changes = {name: told[name, KIND].change for name in ("ACL", "PCL", "LCL", "MCL")}
+    refusal = listed(path)
+    changes = {name: refusal[name, KIND].change for name in ("ACL", "PCL", "LCL", "MCL")}
     assert changes == {"ACL": "left out", "PCL": "changed", "LCL": "changed", "MCL": "changed"}
     assert [x.name for x in import_opensim(path).ligaments] == ["PCL", "LCL", "MCL"]
 
@@ -423,9 +423,9 @@ def test_other_axes_are_named(
         return f"<location>{' '.join(map(repr, place.tolist()))}</location>"
 
     path.write_text(re.sub("<location>([^<]*)</location>", turned, text), encoding="utf-8")
-    told = refused(path)
-    assert words in told.why
-    axes = re.findall("([xyz]) (?:to the )?(anterior|superior|right)", told.remedy)
+    refusal = refused(path)
+    assert words in refusal.why
+    axes = re.findall("([xyz]) (?:to the )?(anterior|superior|right)", refusal.remedy)
     assert axes == [("x", "anterior"), ("y", "superior"), ("z", "right")]
 
 
@@ -469,11 +469,11 @@ def test_one_of_two_legs(tmp_path: Path, knee: Knee) -> None:
     assert [x.name for x in left.ligaments] == ["ACL_l", "PCL_l", "LCL_l", "MCL_l"]
     for one, other in zip(right.ligaments, left.ligaments, strict=True):
         np.testing.assert_allclose(one.femur, other.femur, atol=1e-9)
-    told = listed(path, side="left")
+    refusal = listed(path, side="left")
     assert {("femur_r", "Body"), ("talus_r", "Body"), ("talus_l", "Body"), ("ACL", KIND)} <= set(
-        told
+        refusal
     )
-    assert told["talus_r", "Body"].why != told["talus_l", "Body"].why
+    assert refusal["talus_r", "Body"].why != refusal["talus_l", "Body"].why
     one_leg = write_model(tmp_path, knee)
     told_of_one = refused(one_leg, side="left")
     assert told_of_one.where == "contact geometry"
@@ -510,16 +510,16 @@ def test_a_tibia_in_one_piece_is_cut_between_the_plateaus(tmp_path: Path, knee: 
     for part, wanted in zip(found.knee.tibia, knee.tibia, strict=True):
         assert abs(len(part.faces) - len(wanted.faces)) <= 1
         assert part.areas.sum() == pytest.approx(wanted.areas.sum(), rel=0.05)
-    (told,) = left_out_of(found)
-    assert (told.change, told.names) == ("changed", ("tibia",))
+    (refusal,) = left_out_of(found)
+    assert (refusal.change, refusal.names) == ("changed", ("tibia",))
 
 
 def test_one_plateau_is_not_cut(tmp_path: Path, knee: Knee) -> None:
     path = write_model(tmp_path, knee)
     write_surface(knee.tibia[0].scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
-    told = refused(path)
-    assert told.where == "contact geometry"
-    assert "one plateau" in told.why
+    refusal = refused(path)
+    assert refusal.where == "contact geometry"
+    assert "one plateau" in refusal.why
 
 
 @pytest.mark.parametrize("bone", ["femur", "tibia"])
@@ -548,8 +548,8 @@ def test_crumbs_are_said(tmp_path: Path, knee: Knee) -> None:
     path = write_model(tmp_path, knee)
     crumb = Surface(vertices=np.eye(3) / 10.0, faces=np.array([[0, 1, 2]]))
     write_surface(joined(*knee.tibia, crumb).scaled(1e-3), tmp_path / "Geometry" / "tibia.stl")
-    (told,) = left_out_of(imported_knee(path))
-    assert (told.change, len(told.names)) == ("left out", 1)
+    (refusal,) = left_out_of(imported_knee(path))
+    assert (refusal.change, len(refusal.names)) == ("left out", 1)
 
 
 def test_a_mesh_given_twice_counts_once(tmp_path: Path, knee: Knee) -> None:
@@ -561,10 +561,10 @@ def test_a_mesh_given_twice_counts_once(tmp_path: Path, knee: Knee) -> None:
     assert listed(path)["again", "Smith2018ContactMesh"].change == "left out"
     assert len(import_opensim(path).tibia[0].faces) == len(knee.tibia[0].faces)
     edited(path, ("tibia.stl", "femur.stl"))
-    told = refused(path)
-    assert told.where.endswith(" tibia_mesh")
-    assert "same" in told.why
-    assert told.why.endswith(" femur.stl")
+    refusal = refused(path)
+    assert refusal.where.endswith(" tibia_mesh")
+    assert "same" in refusal.why
+    assert refusal.why.endswith(" femur.stl")
 
 
 @pytest.mark.parametrize(
