@@ -544,6 +544,25 @@ def solve_constrained(
         `VALLEY`. It goes all the way if None.
     """
     search = _Search(evaluator, quantity, target, tolerance, is_enough)
+    return search.run(search.on_target(np.asarray(start, dtype=np.float64)), most_steps)
+
+
+def walk_to_constraint(
+    evaluator: Evaluator,
+    start: Array,
+    *,
+    quantity: Quantity,
+    target: float,
+    tolerance: float = TOLERANCE,
+    most_steps: int = MAX_STEPS,
+) -> ConstrainedFit:
+    """What `solve_constrained` finds, from a start that is off target and stays there.
+
+    The way to the target is then walked in steps that have a prediction each, along the feasibility
+    boundary of the model where it is in the way. So it is found where the start, put on target, has
+    no prediction.
+    """
+    search = _Search(evaluator, quantity, target, tolerance, None)
     return search.run(np.asarray(start, dtype=np.float64), most_steps)
 
 
@@ -626,15 +645,19 @@ class _Search:
         self._curvature = evaluator.curvature
         self._kinks = KinkModels()
 
-    def run(self, start: Array, most_steps: int) -> ConstrainedFit:
-        before = self._evaluator.n_simulations
+    def on_target(self, start: Array) -> Array:
+        """The start within the bounds, with its target as value if the quantity is a parameter."""
         start = np.clip(start, self._lower, self._upper)
         if self._quantity is not None:
-            # A quantity that is a parameter begins at its target.
             value, gradient = self._quantity.evaluate(start)
             i = int(np.argmax(gradient != 0.0))
             if np.count_nonzero(gradient) == 1 and gradient[i] == 1.0 and value == start[i]:
                 start[i] = np.clip(self._target, self._lower[i], self._upper[i])
+        return start
+
+    def run(self, start: Array, most_steps: int) -> ConstrainedFit:
+        before = self._evaluator.n_simulations
+        start = np.clip(start, self._lower, self._upper)
         try:
             point = self._point(start)
         except SearchEnded as end:

@@ -11,6 +11,7 @@ from identknee.calibrate.problem import (
     Evaluator,
     ParameterQuantity,
     Problem,
+    Quantity,
     limit_rows,
     n_prior_rows,
     sum_of_squares,
@@ -30,6 +31,8 @@ ACTIVE = 1e-3
 MOST = 0.5
 # Share of the threshold: error of fits that decide whether a value is excluded.
 TOLERANCE = 1e-2
+# Share of the interval: a value that is as good as another one.
+CLOSE = 1e-3
 # Bounds that are widened one by one to find the strongest, and the steps allowed for each.
 MOST_BOUNDS, MOST_STEPS = 3, 8
 NOT_COMPUTED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
@@ -51,6 +54,54 @@ class ClosedEnd:
         return self.value + self.direction * share * self.width
 
 
+def bounds_in_the_way(
+    problem: Problem,
+    at: Evaluation,
+    *,
+    threshold: float,
+    quantity: Quantity | None = None,
+    slope: float = 0.0,
+) -> dict[str, float]:
+    """Reduction that Lagrange multipliers predict for twice the room, by active bound.
+
+    Parameters
+    ----------
+    problem
+        The problem with its bounds.
+    at
+        A fit.
+    threshold
+        Rise of the deviance that bounds the set; bounds that cost less than a thousandth are left
+        out.
+    quantity, slope
+        What the fit holds, and the derivative of the deviance by it; None where nothing is held.
+        The bounds of a parameter that is held are left out.
+    """
+    parameters = problem.parameters
+    own = quantity.name if isinstance(quantity, ParameterQuantity) else ""
+    force = at.gradient
+    if quantity is not None:
+        _, gradient = quantity.evaluate(at.theta)
+        force = force - slope * np.where(np.isfinite(gradient), gradient, 0.0)
+    wider = with_room_doubled(problem, parameters.names).parameters
+    found = {}
+    for i, name in enumerate(parameters.names):
+        room = 0.0
+        if at.theta[i] <= parameters.lower[i] and force[i] > 0.0:
+            room = parameters.lower[i] - wider.lower[i]
+        elif at.theta[i] >= parameters.upper[i] and force[i] < 0.0:
+            room = wider.upper[i] - parameters.upper[i]
+        gain = float(abs(force[i]) * room)
+        if name != own and gain > ACTIVE * threshold:
+            found[name] = gain
+    return found
+
+
+def optimum_with_room(evaluator: Evaluator, start: Array, *, threshold: float) -> Evaluation:
+    """Where the fit from `start`, shape ``(n,)``, ends in a problem with wider bounds."""
+    return minimise(evaluator, start, tolerance=TOLERANCE * threshold).evaluation
+
+
 class OriginFinder:
     """Finds what sets closed ends of one profile, and counts the simulations for it.
 
@@ -64,17 +115,31 @@ class OriginFinder:
         The best fit.
     beyond
         Likely optima outside the bounds, shape ``(n,)`` each.
+    with_room
+        Where the fit ends with twice the room for all parameters, shape ``(n,)``; None if that is
+        not known.
     """
 
     def __init__(
-        self, walk: ProfileContext, problem: Problem, optimum: Evaluation, beyond: Sequence[Array]
+        self,
+        walk: ProfileContext,
+        problem: Problem,
+        optimum: Evaluation,
+        beyond: Sequence[Array],
+        with_room: Array | None = None,
     ) -> None:
         self._beyond = tuple(beyond)
+        self._room = with_room
         self._widened: tuple[Array, ...] = ()
         self._walk = walk
         self._problem = problem
         self._optimum = optimum
-        self.n_simulations = 0
+        self._contexts: dict[tuple[str, ...], ProfileContext] = {}
+
+    @property
+    def n_simulations(self) -> int:
+        """Simulations made so far."""
+        return sum(x.evaluator.n_simulations for x in self._contexts.values())
 
     def side(self, end: ClosedEnd) -> Side:
         """The side with what sets its end; unchanged where that could not be computed.
@@ -99,24 +164,13 @@ class OriginFinder:
         return replace(end.side, made_by=self._made_by(end))
 
     def _gains(self, at: Evaluation, slope: float) -> dict[str, float]:
-        """Reduction that Lagrange multipliers predict for twice the room, by active bound."""
-        problem, quantity = self._problem, self._walk.quantity
-        parameters = problem.parameters
-        own = quantity.name if isinstance(quantity, ParameterQuantity) else ""
-        _, gradient = quantity.evaluate(at.theta)
-        force = at.gradient - slope * np.where(np.isfinite(gradient), gradient, 0.0)
-        wider = with_room_doubled(problem, parameters.names).parameters
-        found = {}
-        for i, name in enumerate(parameters.names):
-            room = 0.0
-            if at.theta[i] <= parameters.lower[i] and force[i] > 0.0:
-                room = parameters.lower[i] - wider.lower[i]
-            elif at.theta[i] >= parameters.upper[i] and force[i] < 0.0:
-                room = wider.upper[i] - parameters.upper[i]
-            gain = float(abs(force[i]) * room)
-            if name != own and gain > ACTIVE * self._walk.threshold:
-                found[name] = gain
-        return found
+        return bounds_in_the_way(
+            self._problem,
+            at,
+            threshold=self._walk.threshold,
+            quantity=self._walk.quantity,
+            slope=slope,
+        )
 
     def _moves_outward(self, end: ClosedEnd) -> bool | None:
         """Whether the end lies farther out with twice the room, up to the quantity's own bounds.
@@ -148,7 +202,8 @@ class OriginFinder:
                     moves = True
                     break
             elif is_own and not walk.is_settled(point):
-                moves = None
+                is_excluded = walk.delta(point) - point.predicted_reduction > walk.threshold
+                moves = False if is_excluded else None
         if moves is False:
             walk.limits = limits
             for theta in (*self._beyond, *self._widened):
@@ -165,7 +220,6 @@ class OriginFinder:
                 elif reached.end is None:
                     moves = True
                     break
-        self.n_simulations += walk.evaluator.n_simulations
         return moves
 
     def _fit(
@@ -177,7 +231,9 @@ class OriginFinder:
         stops it, it is begun again from around them.
         """
         at, tolerance = end.nearest.evaluation, TOLERANCE * walk.threshold
-        solved = walk.solve(end.value, start, tolerance=tolerance)
+        solved = walk.solve(
+            end.value, start, tolerance=tolerance, near=at.theta if is_own else None
+        )
         if solved.outcome is Outcome.BUDGET:
             return None
         point = walk.point(solved)
@@ -195,11 +251,23 @@ class OriginFinder:
         moves: bool | None = False
         if walk.lowest < self._walk.lowest - AT_END * walk.threshold:
             start = walk.start(value, end.inside, None)
-            solved = walk.solve(value, start, tolerance=TOLERANCE * walk.threshold)
+            solved = walk.solve(
+                value,
+                start,
+                tolerance=TOLERANCE * walk.threshold,
+                is_enough=lambda at: self._is_likely(walk, at, value, end),
+            )
             rise = solved.evaluation.deviance - walk.lowest
             moves = None if solved.outcome is Outcome.BUDGET else rise > walk.threshold
-        self.n_simulations += walk.evaluator.n_simulations
         return moves
+
+    def _is_likely(
+        self, walk: ProfileContext, at: Evaluation, value: float, end: ClosedEnd
+    ) -> bool:
+        """Whether a point at a value, or as good as there, is in the set."""
+        there, _ = walk.quantity.evaluate(at.theta)
+        is_there = abs(there - value) <= CLOSE * end.width
+        return is_there and at.deviance - walk.lowest < (1.0 - TOLERANCE) * walk.threshold
 
     def _strongest(self, end: ClosedEnd, gains: dict[str, float]) -> str:
         """The active bound that alone lowers the deviance at the end most."""
@@ -216,7 +284,6 @@ class OriginFinder:
                 most_steps=MOST_STEPS,
             )
             rises.append(solved.evaluation.deviance - walk.lowest)
-            self.n_simulations += walk.evaluator.n_simulations
         return names[int(np.argmin(rises))]
 
     def _farthest_outside(self) -> str:
@@ -233,13 +300,22 @@ class OriginFinder:
         budget = walk.evaluator.budget
         if budget is not None:
             budget = max(budget - walk.evaluator.n_simulations - self.n_simulations, 0)
+        if names in self._contexts:
+            wider = self._contexts[names]
+            evaluator = wider.evaluator
+            evaluator.budget = None if budget is None else evaluator.n_simulations + budget
+            wider.limits = walk.limits
+            return wider
         evaluator = Evaluator(with_room_doubled(self._problem, names), budget=budget)
         wider = ProfileContext(evaluator, walk.quantity, walk.threshold, self._optimum)
         wider.is_final = True
         wider.lowest = walk.lowest
+        self._contexts[names] = wider
         if any(x in names for x in self._gains(self._optimum, 0.0)):
-            tolerance = TOLERANCE * walk.threshold
-            best = minimise(evaluator, self._optimum.theta, tolerance=tolerance).evaluation
+            start = self._optimum.theta
+            if self._room is not None and len(names) == self._problem.parameters.n:
+                start = self._room
+            best = optimum_with_room(evaluator, start, threshold=walk.threshold)
             wider.note(best)
             if self._problem.parameters.is_of_interest.all():
                 self._widened = (best.theta,)

@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from identknee.calibrate.bounded_least_squares import IsEnough, minimise
+from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.fit import fit_many
 from identknee.calibrate.problem import (
-    EIGENVALUE_TOLERANCE,
     UNSEEN_TOLERANCE,
     Evaluation,
     Evaluator,
@@ -23,11 +21,23 @@ from identknee.calibrate.problem import (
     conditional_sds,
     evaluate,
     thin_svd,
-    typical_steps,
     value_at,
     with_room_doubled,
 )
-from identknee.identify.profile.origins import MOVED, ClosedEnd, OriginFinder
+from identknee.identify.profile.branches import (
+    Branch,
+    constant_branches,
+    find_branches,
+    height_at,
+    walk_branch,
+)
+from identknee.identify.profile.origins import (
+    MOVED,
+    ClosedEnd,
+    OriginFinder,
+    bounds_in_the_way,
+    optimum_with_room,
+)
 from identknee.identify.profile.result import (
     EndOrigin,
     Interval,
@@ -36,7 +46,6 @@ from identknee.identify.profile.result import (
     Side,
     SideStatus,
     chi2_threshold,
-    cubic,
 )
 from identknee.identify.profile.walk import (
     AT_END,
@@ -45,286 +54,33 @@ from identknee.identify.profile.walk import (
     BetterOptimumFound,
     ProfileContext,
     ProfilePoint,
-    SideWalk,
     fit_from_nearby,
-    march,
 )
 from identknee.identify.sweep import sobol_starts
-from identknee.runs.declare import Array
+from identknee.runs.declare import OF_PARAMETER, Array, array, declared, entry
 from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 from identknee.runs.schema import from_plain, to_plain
 from identknee.runs.store import Store, resumable_map
 
-MOST_BRANCHES = 12
-# Steps after which an exploratory fit must be near an optimum.
-EXPLORATORY_STEPS = 8
-# Steps of a fit that returns from beyond a lost path.
-RETURN_STEPS = 24
-# Of the threshold: the error of an exploratory fit and of the derivatives at its end, and how
-# near a fit must have come to be followed.
-GLANCE_TOLERANCE = 2e-2
-NEAR = 10.0
-# In widths of the set: how far out to look where there is no bound.
-WIDTHS = 1.0
-# In widths of the set: a gap narrower than this is not looked into.
-NARROW = 0.05
-# How far beyond an end to go and come back, in distances to the optimum.
-OUTSIDE = 1.0
-# Share of the distance to the ends of the confidence set over which a constant is tried.
-ALMOST = 0.9
 
-Region = tuple[float, float]
+@declared
+class PolishedOptimum:
+    """An optimum polished for profiles, from `polish_optimum`."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Branch:
-    """The profile from one local optimum, downward and upward."""
-
-    lower: SideWalk
-    upper: SideWalk
-
-    @property
-    def origin(self) -> ProfilePoint:
-        """The optimum."""
-        return self.lower.points[0]
-
-    @property
-    def points(self) -> list[ProfilePoint]:
-        """All points from low to high values."""
-        return sorted([*self.lower.points, *self.upper.points[1:]], key=lambda x: x.value)
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lower and upper end of the confidence set, infinite where open."""
-        low, high = self.lower.side.end, self.upper.side.end
-        return (-np.inf if low is None else low), (np.inf if high is None else high)
-
-    def nearest(self, value: float) -> ProfilePoint:
-        """The point whose value is nearest."""
-        return min(self.points, key=lambda x: abs(x.value - value))
-
-
-def walk_branch(walk: ProfileContext, origin: ProfilePoint) -> Branch:
-    """The profile from an optimum downward and upward."""
-    return Branch(lower=march(walk, origin, -1), upper=march(walk, origin, 1))
-
-
-def constant_branches(walk: ProfileContext, origin: ProfilePoint) -> list[Branch]:
-    """The branches of a quantity that is locally constant, such as a slack line's force.
-
-    Its set begins as that one value. Where it is another one at an end of the confidence set of a
-    parameter, by the covariance at the optimum, the fit there with the largest and the smallest
-    value begin branches of their own.
-    """
-    side = Side(
-        status=SideStatus.CLOSED,
-        end=origin.value,
-        error=0.0,
-        reached=origin.value,
-        max_deviance=0.0,
-        at_bounds=(),
+    theta: Array = array("Where it is", "parameter", unit=OF_PARAMETER)
+    with_room: Array | None = array(
+        "Where the fit ends with twice the room for all parameters; None where no bound is active",
+        "parameter",
+        unit=OF_PARAMETER,
+        default=None,
     )
-    leg = SideWalk(points=(origin,), side=side)
-    branches = [Branch(lower=leg, upper=leg)]
-    # Theta near each end of each parameter's confidence set, the others adjusted.
-    parameters = walk.evaluator.parameters
-    at = origin.evaluation
-    scales = typical_steps(parameters)
-    inverse = np.linalg.pinv(at.information * np.outer(scales, scales), rcond=EIGENVALUE_TOLERANCE)
-    covariance = inverse * np.outer(scales, scales)
-    sd = np.sqrt(np.diag(covariance))
-    known = sd > 0
-    moves = ALMOST * np.sqrt(walk.threshold) * (covariance[:, known] / sd[known]).T
-    corners = [
-        np.clip(at.theta + sign * move, parameters.lower, parameters.upper)
-        for move in moves
-        for sign in (-1.0, 1.0)
-    ]
-    found = [(*walk.quantity.evaluate(theta), theta) for theta in corners]
-    found = [x for x in found if np.isfinite(x[0]) and x[0] != origin.value and x[1].any()]
-    for value, _, theta in sorted(found, key=lambda x: x[0])[:: max(len(found) - 1, 1)]:
-        solved = walk.solve(value, theta, tolerance=GLANCE_TOLERANCE * walk.threshold)
-        if solved.is_on_target and solved.evaluation.deviance - walk.lowest < walk.threshold:
-            branches.append(walk_branch(walk, walk.point(solved)))
-    return branches
-
-
-def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Branch]:
-    """The branches of the optimum and of other local optima found.
-
-    Fits without a constraint start from the middle of what lies beyond each closed end, and from
-    each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
-    own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
-    to no optimum of their own are looked for by coming back to each end of the optimum's branch
-    from outside.
-    """
-    branches = [main]
-    regions = _beside(main, walk.limits)
-    while regions and len(branches) < MOST_BRANCHES:
-        region = regions.pop(0)
-        # The optimum's theta moved into a region, shape ``(n,)``; None if that is too narrow.
-        low, high = main.limits
-        reach = [x for x in (low, high) if np.isfinite(x)] + [main.origin.value]
-        width = max(reach) - min(reach)
-        if region[1] - region[0] < NARROW * width:
-            start = None
-        else:
-            if np.isinf(region[0]):
-                value = region[1] - WIDTHS * width
-            elif np.isinf(region[1]):
-                value = region[0] + WIDTHS * width
-            else:
-                value = 0.5 * (region[0] + region[1])
-            theta = np.array(main.origin.evaluation.theta)
-            if isinstance(walk.quantity, ParameterQuantity):
-                theta[walk.quantity.index] = value
-                start = theta
-            else:
-                tolerance = GLANCE_TOLERANCE * walk.threshold
-                solved = walk.solve(value, theta, tolerance=tolerance, most_steps=EXPLORATORY_STEPS)
-                start = solved.evaluation.theta if solved.evaluation.is_finite else None
-        branch = None if start is None else _branch_from(walk, branches, start)
-        if branch is not None:
-            branches.append(branch)
-            regions += _beside(branch, region)
-    for leg, direction in ((main.lower, -1), (main.upper, 1)):
-        branch = _branch_beyond_end(walk, leg, direction)
-        if branch is not None and not _is_known(walk, branches, branch.origin):
-            branches.append(branch)
-    for start in starts:
-        branch = _branch_from(walk, branches, start)
-        if branch is not None and len(branches) < MOST_BRANCHES:
-            branches.append(branch)
-    return branches
-
-
-def _beside(branch: Branch, region: Region) -> list[Region]:
-    """The parts of a range of values below and above a branch."""
-    low, high = branch.limits
-    below, above = (region[0], low), (high, region[1])
-    return [x for x in (below, above) if x[0] < x[1] and not np.isinf(low if x is below else high)]
-
-
-def _branch_beyond_end(walk: ProfileContext, leg: SideWalk, direction: int) -> Branch | None:
-    """The branch met by going on beyond a closed end and coming back; None if it is the same one.
-
-    Where the path folds, the fits beyond its end lie on another part of it, which may be lower at
-    the end too although no fit without a constraint stays there.
-    """
-    end = leg.side.end
-    if end is None:
-        return None
-    last = min(leg.points, key=lambda x: abs(x.value - end))
-    value = end + direction * OUTSIDE * abs(end - leg.points[0].value)
-    value = float(np.clip(value, *walk.limits))
-    if value == end:
-        return None
-    far = _rough_fit(walk, value, walk.start(value, last, None))
-    if far is None:
-        return None
-    if walk.delta(far) < walk.threshold:
-        return walk_branch(walk, far)
-    expected = walk.start(end, far, None)
-    moved = last.evaluation.jacobian @ (expected - last.evaluation.theta)
-    if float(moved @ moved) < JUMP * walk.threshold:
-        return None
-    # At a fold the two parts of the path lie on different sides of the end.
-    parameters = walk.evaluator.parameters
-    opposite = np.clip(2.0 * last.evaluation.theta - expected, parameters.lower, parameters.upper)
-    for start in (expected, opposite):
-        back = _rough_fit(
-            walk,
-            end,
-            start,
-            most_steps=RETURN_STEPS,
-            is_enough=partial(_joins, walk, [last]),
-        )
-        if back is not None and walk.delta(back) < (1.0 - GLANCE_TOLERANCE) * walk.threshold:
-            return walk_branch(walk, back)
-    return None
-
-
-def _rough_fit(
-    walk: ProfileContext,
-    value: float,
-    start: Array,
-    *,
-    most_steps: int = EXPLORATORY_STEPS,
-    is_enough: IsEnough | None = None,
-) -> ProfilePoint | None:
-    """A rough constrained fit at a value; None if it failed or stopped early."""
-    solved = walk.solve(
-        value,
-        start,
-        tolerance=GLANCE_TOLERANCE * walk.threshold,
-        most_steps=most_steps,
-        is_enough=is_enough,
+    beyond: tuple[Array, ...] = entry(
+        "Likely optima outside the bounds, shape ``(n,)`` each: ends that would move from there "
+        "are set by bounds",
+        unit=OF_PARAMETER,
+        default=(),
     )
-    is_there = solved.evaluation.is_finite and solved.is_on_target
-    return walk.point(solved) if is_there else None
-
-
-def _branch_from(walk: ProfileContext, branches: Sequence[Branch], start: Array) -> Branch | None:
-    """The branch of the optimum that `start` leads to, if that is likely and not known."""
-    is_known = partial(_joins, walk, [x.origin for x in branches])
-    rough = minimise(
-        walk.evaluator,
-        start,
-        tolerance=GLANCE_TOLERANCE * walk.threshold,
-        most_steps=EXPLORATORY_STEPS,
-        is_enough=is_known,
-    )
-    is_far = rough.evaluation.deviance - walk.lowest > NEAR * walk.threshold
-    if is_far or is_known(rough.evaluation):
-        return None
-    point = _point(walk, rough.evaluation.theta)
-    if point is None or _is_known(walk, branches, point):
-        return None
-    found = minimise(walk.evaluator, rough.evaluation.theta, tolerance=AT_END * walk.threshold)
-    walk.note(found.evaluation)
-    point = _point(walk, found.evaluation.theta)
-    if point is None or walk.delta(point) >= walk.threshold or _is_known(walk, branches, point):
-        return None
-    return walk_branch(walk, point)
-
-
-def _joins(walk: ProfileContext, ends: Sequence[ProfilePoint], at: Evaluation) -> bool:
-    """Whether `at` is close to a known fit that ended as low.
-
-    It would where the residuals change between both as the derivatives at either say: the next step
-    leads there.
-    """
-    for end in ends:
-        known = end.evaluation
-        way = known.theta - at.theta
-        change = known.residuals - at.residuals
-        missed = (change - at.jacobian @ way, change - known.jacobian @ way)
-        if max(float(x @ x) for x in missed) < GLANCE_TOLERANCE * walk.threshold:
-            return True
-    return False
-
-
-def _point(walk: ProfileContext, theta: Array) -> ProfilePoint | None:
-    """The point of a profile at theta, no fit being made; None where there is no prediction."""
-    value, _ = walk.quantity.evaluate(theta)
-    if not np.isfinite(value):
-        return None
-    solved = walk.solve(value, theta, tolerance=np.inf)
-    return walk.point(solved) if solved.evaluation.is_finite else None
-
-
-def _is_known(walk: ProfileContext, branches: Sequence[Branch], point: ProfilePoint) -> bool:
-    """Whether a point lies on the path of one of the branches, or near its optimum."""
-    for branch in branches:
-        low, high = branch.limits
-        if not low <= point.value <= high:
-            continue
-        expected = walk.start(point.value, branch.nearest(point.value), None)
-        moved = point.evaluation.jacobian @ (point.evaluation.theta - expected)
-        if float(moved @ moved) < JUMP * walk.threshold:
-            return True
-    return False
 
 
 # Of the quantity's gradient: what may lie in directions that the data do not see.
@@ -337,7 +93,7 @@ def assembled(
     problem: Problem,
     branches: Sequence[Branch],
     *,
-    beyond: Sequence[Array],
+    optimum: PolishedOptimum,
     level: float,
     better_optimum: Array | None,
     n_restarts: int,
@@ -352,8 +108,8 @@ def assembled(
         The problem whose profile it is.
     branches
         That of the optimum first.
-    beyond
-        Likely optima outside the bounds, shape ``(n,)`` each.
+    optimum
+        The optimum that the profile was to begin at.
     level
         Confidence level that the threshold stands for.
     better_optimum, n_restarts
@@ -374,7 +130,13 @@ def assembled(
                 continue
         merged.append((high, lower, upper))
     intervals = tuple((lower.end, upper.end) for _, lower, upper in merged)
-    finder = OriginFinder(walk, problem, origin.evaluation, beyond)
+    finder = OriginFinder(
+        walk,
+        problem,
+        origin.evaluation,
+        optimum.beyond,
+        optimum.with_room if not n_restarts else None,
+    )
     sides = (
         _with_origin(finder, branches, merged[0][1], intervals[0], -1),
         _with_origin(finder, branches, merged[-1][2], intervals[-1], 1),
@@ -385,7 +147,7 @@ def assembled(
         others = [x for x in branches if x is not branch]
         for point in branch.points:
             height = walk.delta(point) - AT_END * walk.threshold
-            if all(_height(walk, other, point.value) >= height for other in others):
+            if all(height_at(walk, other, point.value) >= height for other in others):
                 kept.append((point, i))
     kept.sort(key=lambda x: x[0].value)
     places = [x[0].value for x in kept]
@@ -470,18 +232,6 @@ def curve_slopes(walk: ProfileContext, points: Sequence[ProfilePoint]) -> Array:
     return np.where([walk.is_settled(x) for x in points], exact, chords)
 
 
-def _height(walk: ProfileContext, branch: Branch, value: float) -> float:
-    """Rise of the deviance of a branch at a value; infinite outside its range."""
-    for left, right in pairwise(branch.points):
-        if left.value <= value <= right.value and left.value < right.value:
-            return cubic(
-                value,
-                (left.value, walk.delta(left), left.slope),
-                (right.value, walk.delta(right), right.slope),
-            )
-    return np.inf
-
-
 def _is_structurally_flat(walk: ProfileContext, origin: ProfilePoint) -> bool:
     """Whether the quantity varies along a direction in which no residual does."""
     scales = conditional_sds(origin.evaluation.jacobian, walk.evaluator.parameters)
@@ -505,23 +255,6 @@ BUDGET = 1000
 MOST_RESTARTS = 5
 # Of the deviance: predicted reduction that the optimum may leave.
 OPTIMUM_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PolishedOptimum:
-    """An optimum polished for profiles, from `polish_optimum`.
-
-    Attributes
-    ----------
-    theta
-        Where it is, shape ``(n,)``.
-    beyond
-        Likely optima outside the bounds, shape ``(n,)`` each: ends that would move from there are
-        set by bounds.
-    """
-
-    theta: Array
-    beyond: tuple[Array, ...] = ()
 
 
 def profile(
@@ -576,25 +309,27 @@ def profile(
         raise ValueError(f"the threshold must be positive and finite, got {threshold:g}")
     if budget < 1:
         raise ValueError(f"the budget must be at least 1 simulation, got {budget}")
+    evaluator = Evaluator(problem, budget=budget)
+    optimum = optimum_theta
+    if not isinstance(optimum, PolishedOptimum):
+        theta = np.asarray(optimum, dtype=np.float64)
+        optimum = PolishedOptimum(theta=_settled(evaluator, theta, threshold).theta)
     run = _Run(
         problem=problem,
-        evaluator=Evaluator(problem, budget=budget),
+        evaluator=evaluator,
         quantity=quantity,
         level=level,
         threshold=threshold,
         starts=np.reshape(np.asarray(starts, dtype=np.float64), (-1, problem.parameters.n)),
+        optimum=optimum,
     )
-    if isinstance(optimum_theta, PolishedOptimum):
-        run = replace(run, beyond=optimum_theta.beyond)
-        return run.profile(run.evaluator(optimum_theta.theta))
-    theta = np.asarray(optimum_theta, dtype=np.float64)
-    return run.profile(_settled(run.evaluator, theta, threshold))
+    return run.profile()
 
 
 def polish_optimum(
     problem: Problem, optimum_theta: ArrayLike, *, threshold: float, budget: int = BUDGET
 ) -> PolishedOptimum:
-    """The polished optimum, shared by several profiles.
+    """The polished optimum, shared by several profiles, and the one with twice the room.
 
     Raises
     ------
@@ -602,9 +337,13 @@ def polish_optimum(
         If the model has no prediction at the optimum.
     """
     theta = np.asarray(optimum_theta, dtype=np.float64)
-    return PolishedOptimum(
-        theta=_settled(Evaluator(problem, budget=budget), theta, threshold).theta
-    )
+    optimum = _settled(Evaluator(problem, budget=budget), theta, threshold)
+    with_room = None
+    if bounds_in_the_way(problem, optimum, threshold=threshold):
+        wider = with_room_doubled(problem, problem.parameters.names)
+        evaluator = Evaluator(wider, budget=budget)
+        with_room = optimum_with_room(evaluator, optimum.theta, threshold=threshold).theta
+    return PolishedOptimum(theta=optimum.theta, with_room=with_room)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -615,9 +354,10 @@ class _Run:
     level: float
     threshold: float
     starts: Array
-    beyond: tuple[Array, ...] = ()
+    optimum: PolishedOptimum
 
-    def profile(self, optimum: Evaluation) -> Profile:
+    def profile(self) -> Profile:
+        optimum = self.evaluator(self.optimum.theta)
         for n_restarts in range(MOST_RESTARTS + 1):
             walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
             walk.is_final = n_restarts == MOST_RESTARTS
@@ -635,7 +375,7 @@ class _Run:
                 walk,
                 self.problem,
                 branches,
-                beyond=self.beyond,
+                optimum=self.optimum,
                 level=self.level,
                 better_optimum=optimum.theta if n_restarts else None,
                 n_restarts=n_restarts,
@@ -773,18 +513,19 @@ def profile_quantities(
     found: tuple[Profile, ...] = ()
     for round_ in range(MOST_ROUNDS):
         (polished,) = resumable_map(
-            partial(_all_settled, problem, theta, max(each)),
+            partial(_polished, problem, theta, max(each)),
             [settings.get("budget", BUDGET)],
             executor=serial,
             store=store,
             name=f"optimum round {round_}",
             description="polishing",
         )
-        theta = np.array(polished)
+        optimum = replace(from_plain(PolishedOptimum, polished), beyond=beyond)
+        theta = optimum.theta
         for quantity in quantities:
             value_at(quantity, theta)
         kept = resumable_map(
-            partial(_profiled, problem, theta, asked, beyond, {**settings, "starts": starts}),
+            partial(_profiled, problem, optimum, asked, {**settings, "starts": starts}),
             range(len(asked)),
             executor=executor,
             store=store,
@@ -876,19 +617,16 @@ def optima_beyond_bounds(
     return tuple(x for x in found if np.any((x < parameters.lower) | (x > parameters.upper)))
 
 
-def _all_settled(problem: Problem, theta: Array, threshold: float, budget: int) -> list[float]:
-    optimum = polish_optimum(problem, theta, threshold=threshold, budget=budget)
-    return [float(x) for x in optimum.theta]
+def _polished(problem: Problem, theta: Array, threshold: float, budget: int) -> dict[str, Any]:
+    return to_plain(polish_optimum(problem, theta, threshold=threshold, budget=budget))
 
 
 def _profiled(
     problem: Problem,
-    theta: Array,
+    optimum: PolishedOptimum,
     asked: Sequence[tuple[Quantity, float]],
-    beyond: tuple[Array, ...],
     settings: dict[str, Any],
     which: int,
 ) -> dict[str, Any]:
     quantity, threshold = asked[which]
-    optimum = PolishedOptimum(theta=theta, beyond=beyond)
     return to_plain(profile(problem, optimum, quantity, threshold=threshold, **settings))

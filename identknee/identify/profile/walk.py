@@ -1,5 +1,6 @@
 """Stepping along a profile, interpolation between fits, and its ends."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from identknee.calibrate.bounded_least_squares import (
     bounded_step,
     minimise,
     solve_constrained,
+    walk_to_constraint,
 )
 from identknee.calibrate.problem import (
     Evaluation,
@@ -242,8 +244,9 @@ class ProfileContext:
         tolerance: float = TOLERANCE,
         most_steps: int = MAX_STEPS,
         is_enough: IsEnough | None = None,
+        near: Array | None = None,
     ) -> ConstrainedFit:
-        """The constrained fit at a value.
+        """The constrained fit at a value; walked to from `near` where the start has no prediction.
 
         Raises
         ------
@@ -259,6 +262,15 @@ class ProfileContext:
             most_steps=most_steps,
             is_enough=is_enough,
         )
+        if solved.outcome is Outcome.START_FAILED and near is not None:
+            solved = walk_to_constraint(
+                self.evaluator,
+                near,
+                quantity=self.quantity,
+                target=value,
+                tolerance=tolerance,
+                most_steps=most_steps,
+            )
         self.note(solved.evaluation)
         return solved
 
@@ -368,7 +380,7 @@ LEFT = 3.0
 CLOSE, SLOPE_ERROR = 2e-3, 0.1
 # Share of the distance to the optimum.
 END_TOLERANCE = 1e-4
-GAP_TOLERANCE = 3e-4
+GAP_TOLERANCE = 1e-3
 BESIDE_BOUND = 1e-3
 # Of a bound: what is nearer is taken to be at it.
 ROUNDING = 1e-13
@@ -384,11 +396,16 @@ MOST_RETRIES = 4
 # How far to leap over values without prediction, in steps; and how often a side looks for other
 # points with the same value.
 LEAPS = (2.0, 4.0, 8.0)
-MOST_DETOURS = 6
+MOST_DETOURS = 4
+# How often a side walks to a value and is stopped on the way.
+MOST_STUCK = 3
 # Of the threshold: a fit stopped at the boundary excludes its value where the rise stays above this
 # after the predicted reduction.
 ENOUGH = 0.9
 
+
+# Whether the profile is known from a point on.
+IsKnown = Callable[[ProfilePoint], bool]
 
 # What makes an open end; what makes a closed one is found out when all paths are known.
 OPEN_ENDS = {
@@ -413,7 +430,9 @@ class SideWalk:
     side: Side
 
 
-def march(walk: ProfileContext, origin: ProfilePoint, direction: int) -> SideWalk:
+def march(
+    walk: ProfileContext, origin: ProfilePoint, direction: int, *, is_known: IsKnown | None = None
+) -> SideWalk:
     """The profile on one side of an optimum, until its deviance has risen by the threshold.
 
     Steps aim at equal rises of the deviance's root, by the parabola through the last point with its
@@ -425,13 +444,28 @@ def march(walk: ProfileContext, origin: ProfilePoint, direction: int) -> SideWal
     Where the path meets the feasibility boundary, beyond which a trial has no prediction, the fit
     is begun again from other points with the same value, and then farther out. The side ends there
     only where none of them has a prediction.
+
+    Parameters
+    ----------
+    walk
+        The quantity, the threshold and the lowest deviance.
+    origin
+        The optimum, or another point to begin at.
+    direction
+        1 for upward, -1 for downward.
+    is_known
+        Asked of each point within the set; where it says yes, the rest of the side is known, and
+        the side ends there.
     """
-    return _March(walk, origin, direction).run()
+    return _March(walk, origin, direction, is_known or (lambda _: False)).run()
 
 
 class _March:
-    def __init__(self, walk: ProfileContext, origin: ProfilePoint, direction: int) -> None:
+    def __init__(
+        self, walk: ProfileContext, origin: ProfilePoint, direction: int, is_known: IsKnown
+    ) -> None:
         self._walk = walk
+        self._is_known = is_known
         self._direction = direction
         self._points = [origin]
         self._inside = origin
@@ -440,7 +474,7 @@ class _March:
         self._is_gap = False
         self._bound = walk.limits[1 if direction > 0 else 0]
         self._root = float(np.sqrt(walk.threshold))
-        self._n_refined = self._n_retries = self._n_detours = 0
+        self._n_refined = self._n_retries = self._n_detours = self._n_stuck = 0
         step = step_to(self._walk.threshold / POINTS_PER_SIDE**2, 0.0, origin.curvature)
         low, high = self._walk.limits
         if step < high - low:
@@ -486,15 +520,20 @@ class _March:
                 return self._cross_gap(value, tolerance)
             self._blocked = value
             return None
-        self._take(self._walk.point(solved), start)
+        point = self._walk.point(solved)
+        if solved.outcome is Outcome.CLIFF and self._mismatch(point, start) > self._walk.threshold:
+            # The feasibility boundary keeps it in another valley, far above this one.
+            return self._cross_gap(value, tolerance)
+        self._take(point, start)
         return None
 
     def _solved(self, value: float, start: Array, tolerance: float) -> ConstrainedFit:
         """The constrained fit at a value, from other points too where the model ends on the way."""
         walk, inside = self._walk, self._inside.evaluation
-        solved = walk.solve(value, start, tolerance=tolerance)
-        if solved.outcome is Outcome.START_FAILED:
-            solved = walk.solve(value, inside.theta, tolerance=tolerance)
+        near = inside.theta if self._n_stuck < MOST_STUCK else None
+        solved = walk.solve(value, start, tolerance=tolerance, near=near)
+        if solved.outcome is Outcome.CLIFF and not solved.is_on_target:
+            self._n_stuck += 1
         if self._n_detours == MOST_DETOURS:
             return solved
         # Whether the feasibility boundary kept a fit from being made or from going lower.
@@ -632,6 +671,8 @@ class _March:
 
     def _ended(self) -> Side | None:
         at, outside = self._inside, self._outside
+        if at is not self._points[0] and self._is_known(at):
+            return self._closed(at, at.value, 0.0)
         # From a value a rounding error before the bound no step leads to it.
         if abs(self._bound - at.value) <= ROUNDING * abs(self._bound) < np.inf:
             return self._at_bound()
@@ -648,6 +689,10 @@ class _March:
             width = abs(outside.value - at.value)
             if width <= END_TOLERANCE * self._distance():
                 return self._closed(at, at.value, width)
+            if self._blocked is not None:
+                room = abs(outside.value - self._blocked)
+                if room <= GAP_TOLERANCE * self._distance():
+                    return self._closed(outside, outside.value, width)
         elif self._blocked is not None:
             width = abs(self._blocked - at.value)
             if width <= GAP_TOLERANCE * self._distance():
