@@ -17,7 +17,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.identify.optimum import best_fits as lowest_fits
 from identknee.identify.profile.pairs import PairProfile, profile_pair
-from identknee.identify.profile.profile import profile_quantities
+from identknee.identify.profile.profile import other_optima, profile_quantities
 from identknee.identify.profile.result import (
     Profile,
     ProfileVerdict,
@@ -228,6 +228,13 @@ def profile(
         level=level,
         budget=budget,
         thresholds=thresholds,
+        starts=other_optima(
+            setup.problem,
+            fits[0].theta,
+            threshold=float(np.max(thresholds)),
+            known=fits[1:],
+            executor=run.executor,
+        ),
     )
     best = min(profiles, key=lambda x: x.deviance)
     findings = setup.findings_at(best.optimum, best.deviance, fits)
@@ -300,14 +307,22 @@ def _with_priors(
         executor=run.executor,
         points=np.array([setup.start, *(x.theta for x in fits[1:N_OTHERS])]),
     )
+    problem, threshold = with_all_priors(setup.problem), _threshold(setup, level)
     profiles = profile_quantities(
-        with_all_priors(setup.problem),
+        problem,
         found[0].theta,
         _parameters(setup, names),
         executor=run.executor,
         level=level,
         budget=budget,
-        thresholds=_threshold(setup, level),
+        thresholds=threshold,
+        starts=other_optima(
+            problem,
+            found[0].theta,
+            threshold=threshold,
+            known=found[1:],
+            executor=run.executor,
+        ),
     )
     return {x.name: x for x in profiles}
 

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from identknee.calibrate.bounded_least_squares import minimise
-from identknee.calibrate.fit import fit_many
+from identknee.calibrate.fit import Fit, fit_many
 from identknee.calibrate.problem import (
     UNSEEN_TOLERANCE,
     Evaluation,
@@ -406,6 +406,7 @@ def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation
 
 MOST_ROUNDS = 3
 N_STARTS = 16
+MOST_OTHERS = 4
 # Of a fit that looks for another optimum.
 FIT_BUDGET = 200
 
@@ -549,13 +550,15 @@ def other_optima(
     optimum_theta: ArrayLike,
     *,
     threshold: float,
+    known: Sequence[Fit] = (),
     seed: int = 0,
     executor: Executor = serial,
 ) -> Array:
     """Other likely optima, shape ``(k, n)``, where sixteen fits from all over the box end.
 
     They are the `starts` of profiles: paths of solutions in which parameters exchange their roles,
-    or of a second valley, are found through them. None are looked for in a box without ends.
+    or of a second valley, are found through them. None are looked for in a box without ends. At
+    most the four lowest are given back.
 
     Parameters
     ----------
@@ -565,22 +568,27 @@ def other_optima(
         The best fit known, shape ``(n,)``.
     threshold
         Rise of the deviance up to which an optimum is likely.
+    known
+        Fits made before, which may have ended at such optima.
     seed
         Seed of the Sobol points that the fits start from.
     executor
         Anything with an ordered ``map``.
     """
     parameters = problem.parameters
-    if not np.isfinite(parameters.upper - parameters.lower).all():
-        return np.empty((0, parameters.n))
+    fits = list(known)
+    if np.isfinite(parameters.upper - parameters.lower).all():
+        starts = sobol_starts(parameters, N_STARTS, seed=seed)
+        fits += fit_many(problem, starts, seed=seed, executor=executor, budget=FIT_BUDGET)
     at = evaluate(problem, np.asarray(optimum_theta, dtype=np.float64))
-    starts = sobol_starts(parameters, N_STARTS, seed=seed)
-    fits = fit_many(problem, starts, seed=seed, executor=executor, budget=FIT_BUDGET)
     found = [at]
     for fit in sorted(fits, key=lambda x: x.objective):
-        if not 2.0 * fit.objective < at.deviance + threshold:
+        is_likely = 2.0 * fit.objective < at.deviance + threshold
+        if not is_likely or len(found) > MOST_OTHERS:
             break
         here = evaluate(problem, fit.theta)
+        if not here.is_finite:
+            continue
         apart = [here.jacobian @ (here.theta - other.theta) for other in found]
         if min(float(x @ x) for x in apart) > JUMP * threshold:
             found.append(here)

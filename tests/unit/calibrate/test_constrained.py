@@ -15,7 +15,12 @@ from problems import (
     sloppy_springs,
 )
 
-from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise, solve_constrained
+from identknee.calibrate.bounded_least_squares import (
+    ConstrainedFit,
+    minimise,
+    solve_constrained,
+    walk_to_constraint,
+)
 from identknee.calibrate.problem import Evaluation, Evaluator, ParameterQuantity, UserQuantity
 from identknee.runs.record import Outcome
 
@@ -113,6 +118,26 @@ def test_a_start_without_a_prediction_is_told() -> None:
     found = minimise(Evaluator(wall), np.zeros(3))
     assert found.outcome is Outcome.START_FAILED
     assert not found.evaluation.is_finite
+
+
+def test_a_target_is_walked_to_where_the_start_on_it_has_no_prediction() -> None:
+    """The corridor with a prediction is oblique: put on target, the start leaves it."""
+    valley = ClosedForm(
+        name="corridor",
+        parameters=plain_parameters(2),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([0.3 * x[0], x[1] - 2.0 * x[0]]),
+        jacobian_at=lambda _: np.array([[0.3, 0.0], [-2.0, 1.0]]),
+    )
+    problem = Cliff(problem=valley, beyond=lambda x: abs(x[1] - 2.0 * x[0]) - 1.0)
+    first = ParameterQuantity(parameters=problem.parameters, name="x0.value_pct")
+    put = solve_constrained(Evaluator(problem), np.zeros(2), quantity=first, target=3.0)
+    assert put.outcome is Outcome.START_FAILED
+    walked = walk_to_constraint(Evaluator(problem), np.zeros(2), quantity=first, target=3.0)
+    assert walked.is_on_target
+    np.testing.assert_allclose(walked.evaluation.theta, [3.0, 6.0], atol=1e-4)
 
 
 def test_the_budget_ends_it() -> None:

@@ -224,6 +224,24 @@ def test_a_jump_to_another_path_is_repaired(height: float, pull: float) -> None:
         assert delta == pytest.approx(lowest - found.deviance, abs=5e-3)
 
 
+def test_another_valley_at_the_boundary_of_the_model_is_no_end() -> None:
+    """Beyond 1 it goes on only where the second parameter is above 9, at a deviance of 80."""
+    plane = ClosedForm(
+        name="plane",
+        parameters=plain_parameters(2),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: np.array([0.5 * x[0], x[1]]),
+        jacobian_at=lambda _: np.array([[0.5, 0.0], [0.0, 1.0]]),
+    )
+    gap = Cliff(problem=plane, beyond=lambda x: min(x[0] - 1.0, 9.0 - x[1]))
+    found = profile(gap, np.zeros(2), _first(gap), starts=np.array([[2.0, 9.5]]))
+    assert found.upper_status is SideStatus.OPEN_AT_FEASIBILITY
+    assert found.upper_side.reached == pytest.approx(1.0, abs=2e-3)
+    assert found.n_simulations < 500
+
+
 def test_where_the_model_ends_before_the_data_exclude_anything_the_set_is_open() -> None:
     wall = Cliff(problem=_single(lambda x: x, lambda _: 1.0), beyond=lambda x: x[0] - 1.0)
     found = profile(wall, np.zeros(1), _first(wall))

@@ -1,12 +1,21 @@
 """Several profiles at once: order, thresholds, resuming, and one optimum for all."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from problems import Cliff, ClosedForm, Linear, linear, plain_parameters, rosenbrock
 
-from identknee.calibrate.problem import ParameterQuantity, RestrictedQuantity, UserQuantity
+from identknee.calibrate.bounded_least_squares import minimise
+from identknee.calibrate.problem import (
+    Evaluator,
+    ParameterQuantity,
+    RestrictedQuantity,
+    UserQuantity,
+    with_bounds,
+    with_room_doubled,
+)
 from identknee.identify.profile.profile import (
     other_optima,
     polish_optimum,
@@ -97,6 +106,66 @@ def test_the_optimum_is_polished_once_for_all() -> None:
         alone = profile(bent, bent.start, quantity)
         assert alone.n_simulations > one.n_simulations + 5
         assert alone.intervals == one.intervals
+
+
+def test_the_optimum_with_twice_the_room_is_looked_for_where_a_bound_is_active() -> None:
+    problem = linear()
+    low, high = problem.minimum[1] - 3.0, problem.minimum[1] - 0.5
+    boxed = with_bounds(problem, {"x1.value_pct": (float(low), float(high))})
+    best = minimise(Evaluator(boxed), np.clip(problem.minimum, low, high)).evaluation.theta
+    found = polish_optimum(boxed, best, threshold=3.84)
+    wider = with_room_doubled(boxed, boxed.parameters.names)
+    expected = minimise(Evaluator(wider), best).evaluation.theta
+    assert found.with_room is not None
+    np.testing.assert_allclose(found.with_room, expected, atol=1e-6)
+    assert polish_optimum(problem, problem.minimum, threshold=3.84).with_room is None
+    # Ends and what makes them are the same; only simulations are saved.
+    quantity = ParameterQuantity(parameters=boxed.parameters, name="x0.value_pct")
+    alone, shared = (profile(boxed, x, quantity) for x in (replace(found, with_room=None), found))
+    assert shared.intervals == alone.intervals
+    assert shared.lower_side.made_by is alone.lower_side.made_by
+    assert shared.n_simulations < alone.n_simulations
+
+
+def _many_valleys(seed: int) -> ClosedForm:
+    """A parameter beside a nuisance in which the deviance has a valley every few units."""
+    rng = np.random.default_rng(seed)
+    a, b, h, w = rng.uniform([0.3, 0.4, 0.6, 1.5], [0.8, 1.0, 1.4, 3.0])
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    plain = plain_parameters(2, -12.0, 12.0)
+    return ClosedForm(
+        name="many valleys",
+        parameters=replace(plain, is_nuisance=np.array([False, True])),
+        start=np.zeros(2),
+        minimum=np.zeros(2),
+        lowest=0.0,
+        residuals_at=lambda x: np.array(
+            [a * x[0], b * (x[1] - x[0]), h * np.sin(w * x[1] + phase), 0.3 * x[1]]
+        ),
+        jacobian_at=lambda x: np.array(
+            [[a, 0.0], [-b, b], [0.0, h * w * np.cos(w * x[1] + phase)], [0.0, 0.3]]
+        ),
+    )
+
+
+def test_ends_are_those_of_the_lowest_valley_of_a_nuisance() -> None:
+    """Of thirty ends, against a grid over both. Walked from the best fit alone, a third miss."""
+    n_missed = 0
+    grid = np.linspace(-12.0, 12.0, 801)
+    x0, x1 = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
+    for seed in range(15):
+        problem = _many_valleys(seed)
+        rows = problem.residuals_at(np.array([x0, x1]))
+        deviance = np.sum(np.square(rows), axis=0).reshape(grid.size, grid.size)
+        best = np.argmin(deviance)
+        lowest = minimise(Evaluator(problem), np.array([x0[best], x1[best]])).evaluation
+        (found,) = profile_parameters(problem, lowest.theta, ["x0.value_pct"])
+        inside = grid[deviance.min(axis=1) - lowest.deviance < found.threshold]
+        width = inside[-1] - inside[0]
+        for end, there in ((found.lower, inside[0]), (found.upper, inside[-1])):
+            assert end is not None
+            n_missed += abs(end - there) > 0.02 * width
+    assert n_missed == 0
 
 
 def test_an_optimum_without_a_prediction_is_refused() -> None:
