@@ -39,8 +39,8 @@ NEAR = 10.0
 WIDTHS = 1.0
 # In widths of the set: a gap narrower than this is not looked into.
 NARROW = 0.05
-# How often an end is looked at again.
-MOST_LOOKS = 3
+# How often an end is looked at again, and from how many other optima.
+MOST_LOOKS, MOST_STARTS = 3, 2
 # How far beyond an end to go and come back, in distances to the optimum.
 OUTSIDE = 1.0
 # Share of the distance to the ends of the confidence set over which a constant is tried.
@@ -226,7 +226,8 @@ def _branch_at_end(
 ) -> Branch | None:
     """A branch that is lower where the set ends; None if none is found, or the set is open there.
 
-    The fit at the end is made again from points farther back on its path, and from `starts`.
+    The fit at the end is made again from points farther back on its path, and from the first of
+    the `starts`.
     """
     legs = [x.upper if direction > 0 else x.lower for x in branches]
     if any(x.side.end is None for x in legs):
@@ -237,7 +238,7 @@ def _branch_at_end(
         raise AssertionError
     points = sorted(branches[best].points, key=lambda x: abs(x.value - end))
     thetas = [x.evaluation.theta for x in points[2:5:2]]
-    for theta in (*thetas, *starts):
+    for theta in (*thetas, *starts[:MOST_STARTS]):
         again = _rough_fit(
             walk,
             end,

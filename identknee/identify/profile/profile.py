@@ -406,7 +406,6 @@ def _settled(evaluator: Evaluator, theta: Array, threshold: float) -> Evaluation
 
 MOST_ROUNDS = 3
 N_STARTS = 16
-MOST_OTHERS = 4
 # Of a fit that looks for another optimum.
 FIT_BUDGET = 200
 
@@ -557,8 +556,8 @@ def other_optima(
     """Other likely optima, shape ``(k, n)``, where sixteen fits from all over the box end.
 
     They are the `starts` of profiles: paths of solutions in which parameters exchange their roles,
-    or of a second valley, are found through them. None are looked for in a box without ends. At
-    most the four lowest are given back.
+    or of a second valley, are found through them. None are looked for in a box without ends. The
+    lowest comes first.
 
     Parameters
     ----------
@@ -583,8 +582,7 @@ def other_optima(
     at = evaluate(problem, np.asarray(optimum_theta, dtype=np.float64))
     found = [at]
     for fit in sorted(fits, key=lambda x: x.objective):
-        is_likely = 2.0 * fit.objective < at.deviance + threshold
-        if not is_likely or len(found) > MOST_OTHERS:
+        if not 2.0 * fit.objective < at.deviance + threshold:
             break
         here = evaluate(problem, fit.theta)
         if not here.is_finite:
