@@ -40,7 +40,7 @@ WIDTHS = 1.0
 # In widths of the set: a gap narrower than this is not looked into.
 NARROW = 0.05
 # How often an end is looked at again, and from how many other optima.
-MOST_LOOKS, MOST_STARTS = 3, 2
+MOST_LOOKS, MOST_STARTS = 3, 4
 # How far beyond an end to go and come back, in distances to the optimum.
 OUTSIDE = 1.0
 # Share of the distance to the ends of the confidence set over which a constant is tried.
