@@ -182,14 +182,6 @@ IDENTIFICATION = (
         "tests/unit/identify/test_profiles.py::test_ends_are_those_of_the_lowest_valley_of_a_nuisance",
     ),
     fault(
-        "identknee/identify/profile/walk.py",
-        "_March._go_on",
-        "solved.outcome is Outcome.CLIFF and self._mismatch(point, start) > self._walk.threshold",
-        "False",
-        "another valley where the model ends is taken for the end of a set",
-        "tests/unit/identify/test_profile.py::test_another_valley_at_the_boundary_of_the_model_is_no_end",
-    ),
-    fault(
         "identknee/identify/posterior/moves.py",
         "NewtonMove.propose",
         "correction = mixture.log_density(state.coords[moving]) - mixture.log_density(proposed)",

@@ -212,7 +212,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
         branch = _branch_from(walk, branches, start)
         if branch is not None and len(branches) < MOST_BRANCHES:
             branches.append(branch)
-    for direction in (-1, 1):
+    for direction in (-1, 1) if _is_long(walk) else ():
         for _ in range(MOST_LOOKS):
             branch = _branch_at_end(walk, branches, starts, direction)
             if branch is None:
@@ -230,12 +230,11 @@ def _branch_at_end(
     the `starts`.
     """
     legs = [x.upper if direction > 0 else x.lower for x in branches]
-    if any(x.side.end is None for x in legs):
+    ends = [x.side.end for x in legs if x.side.end is not None]
+    if len(ends) < len(legs):
         return None
-    best = int(np.argmax([direction * x.side.end for x in legs if x.side.end is not None]))
-    end = legs[best].side.end
-    if end is None:  # pragma: no cover - none of them is open
-        raise AssertionError
+    best = int(np.argmax(direction * np.array(ends)))
+    end = ends[best]
     points = sorted(branches[best].points, key=lambda x: abs(x.value - end))
     thetas = [x.evaluation.theta for x in points[2:5:2]]
     for theta in (*thetas, *starts[:MOST_STARTS]):
