@@ -149,11 +149,11 @@ def _many_valleys(seed: int) -> ClosedForm:
 
 
 def test_ends_are_those_of_the_lowest_valley_of_a_nuisance() -> None:
-    """Of thirty ends, against a grid over both. Walked from the best fit alone, a third miss."""
+    """Of sixteen ends, against a grid over both. Walked from the best fit alone, a third miss."""
     n_missed = 0
     grid = np.linspace(-12.0, 12.0, 801)
     x0, x1 = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
-    for seed in range(15):
+    for seed in range(8):
         problem = _many_valleys(seed)
         rows = problem.residuals_at(np.array([x0, x1]))
         deviance = np.sum(np.square(rows), axis=0).reshape(grid.size, grid.size)
