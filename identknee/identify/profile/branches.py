@@ -173,7 +173,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
     each of `starts`. Where one ends at a likely optimum that is not on a path walked before, its
     own branch is walked, and the gaps that it leaves are looked into in their turn. Paths that lead
     to no optimum of their own are looked for by coming back to each end of the optimum's branch
-    from outside.
+    from outside. Beside nuisances the ends of the whole set are looked at again.
     """
     branches = [main]
     regions = _beside(main, walk.limits)
