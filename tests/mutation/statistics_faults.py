@@ -182,6 +182,22 @@ IDENTIFICATION = (
         "tests/unit/identify/test_profiles.py::test_ends_are_those_of_the_lowest_valley_of_a_nuisance",
     ),
     fault(
+        "identknee/identify/profile/profile.py",
+        "above_lower_fit",
+        "deltas = profile.deltas + gain",
+        "deltas = profile.deltas",
+        "above a lower fit the ends of a profile stay where they were",
+        "tests/unit/identify/test_profiles.py::test_above_a_little_lower_fit_ends_lie_where_they_do_from_it",
+    ),
+    fault(
+        "identknee/identify/profile/walk.py",
+        "",
+        "BETTER, BETTER_IF_LONG = (1e-4, 5e-2)",
+        "BETTER, BETTER_IF_LONG = (1e-4, 1e-4)",
+        "a profile beside nuisances starts over for next to nothing",
+        "tests/unit/identify/test_profiles.py::test_above_a_little_lower_fit_ends_lie_where_they_do_from_it",
+    ),
+    fault(
         "identknee/identify/posterior/moves.py",
         "NewtonMove.propose",
         "correction = mixture.log_density(state.coords[moving]) - mixture.log_density(proposed)",

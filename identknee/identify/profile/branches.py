@@ -166,7 +166,7 @@ def constant_branches(walk: ProfileContext, origin: ProfilePoint) -> list[Branch
     return branches
 
 
-def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Branch]:
+def find_branches(walk: ProfileContext, main: Branch, starts: Sequence[Array]) -> list[Branch]:
     """The branches of the optimum and of other local optima found.
 
     Fits without a constraint start from the middle of what lies beyond each closed end, and from
@@ -222,7 +222,7 @@ def find_branches(walk: ProfileContext, main: Branch, starts: Array) -> list[Bra
 
 
 def _branch_at_end(
-    walk: ProfileContext, branches: Sequence[Branch], starts: Array, direction: int
+    walk: ProfileContext, branches: Sequence[Branch], starts: Sequence[Array], direction: int
 ) -> Branch | None:
     """A branch that is lower where the set ends; None if none is found, or the set is open there.
 

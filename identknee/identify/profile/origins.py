@@ -33,6 +33,8 @@ MOST = 0.5
 TOLERANCE = 1e-2
 # Share of the interval: a value that is as good as another one.
 CLOSE = 1e-3
+# How much larger a predicted reduction may be farther out.
+UNCERTAIN = 2.0
 # Bounds that are widened one by one to find the strongest, and the steps allowed for each.
 MOST_BOUNDS, MOST_STEPS = 3, 8
 NOT_COMPUTED = (SideStatus.OPEN_BUDGET, SideStatus.FAILED)
@@ -201,9 +203,8 @@ class OriginFinder:
                 elif status is not SideStatus.CLOSED:
                     moves = True
                     break
-            elif is_own and not walk.is_settled(point):
-                is_excluded = walk.delta(point) - point.predicted_reduction > walk.threshold
-                moves = False if is_excluded else None
+            elif is_own and self._may_move(walk, end, point):
+                moves = None
         if moves is False:
             walk.limits = limits
             for theta in (*self._beyond, *self._widened):
@@ -238,11 +239,23 @@ class OriginFinder:
             return None
         point = walk.point(solved)
         is_excluded = walk.delta(point) > (1.0 - TOLERANCE) * walk.threshold
-        if is_own and is_excluded and not walk.is_settled(point):
+        if is_own and is_excluded and self._may_move(walk, end, point):
             around = walk.solve_around(end.value, at, tolerance=tolerance)
             if around is not None and around.evaluation.deviance < solved.evaluation.deviance:
                 return walk.point(around)
         return point
+
+    def _may_move(self, walk: ProfileContext, end: ClosedEnd, point: ProfilePoint) -> bool:
+        """Whether a fit at an end, stopped by the feasibility boundary, leaves open if it moves.
+
+        By its slopes the end does not move, where a tenth of the width beyond it the deviance has
+        risen by twice what it could be lower, had every parameter set a prediction.
+        """
+        rise = walk.delta(point)
+        if self._walk.is_settled(end.nearest):
+            rise += MOVED * end.width * max(end.direction * end.nearest.slope, 0.0)
+        lowered = rise - UNCERTAIN * point.predicted_reduction
+        return not walk.is_settled(point) and lowered <= walk.threshold
 
     def _moves_inward(self, end: ClosedEnd) -> bool | None:
         """Whether a lower best fit, with twice the room, excludes values well inside the end."""

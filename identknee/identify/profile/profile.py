@@ -49,6 +49,8 @@ from identknee.identify.profile.result import (
 )
 from identknee.identify.profile.walk import (
     AT_END,
+    BETTER,
+    BETTER_IF_LONG,
     FLAT,
     JUMP,
     BetterOptimumFound,
@@ -95,7 +97,6 @@ def assembled(
     *,
     optimum: PolishedOptimum,
     level: float,
-    better_optimum: Array | None,
     n_restarts: int,
 ) -> Profile:
     """The profile that the branches make together: their lower envelope and their union.
@@ -112,8 +113,8 @@ def assembled(
         The optimum that the profile was to begin at.
     level
         Confidence level that the threshold stands for.
-    better_optimum, n_restarts
-        The optimum, where it is not the one given, and how often the profile was started over.
+    n_restarts
+        How often the profile was started over from a better optimum.
     """
     origin = branches[0].origin
     # Intervals are separate where the data exclude what lies between. Where only the model ends
@@ -184,8 +185,64 @@ def assembled(
         verdict=verdict,
         practical_level=min(_level(x, level, walk.threshold) for x in sides),
         n_simulations=walk.evaluator.n_simulations + finder.n_simulations,
-        better_optimum=better_optimum,
+        better_optimum=origin.evaluation.theta if n_restarts else None,
         n_restarts=n_restarts,
+    )
+
+
+def above_lower_fit(profile: Profile, fit: Evaluation, value: float) -> Profile | None:
+    """The profile above a fit that is a little lower than its own; None where it says too little.
+
+    Rises are larger, and ends lie farther inside, where their slopes lead to. Where the value at
+    the fit is not in the set, or the set would end on a side that was open, the profile has to be
+    walked again.
+
+    Parameters
+    ----------
+    profile
+        A profile.
+    fit
+        The best fit known now.
+    value
+        The quantity there.
+    """
+    gain = profile.deviance - fit.deviance
+    deltas = profile.deltas + gain
+
+    def moved(end: float | None, direction: int) -> float | None:
+        if end is None:
+            return None
+        i = int(np.argmin(np.abs(profile.values - end)))
+        slope = direction * profile.slopes[i]
+        excess = deltas[i] + profile.slopes[i] * (end - profile.values[i]) - profile.threshold
+        within = direction * (end - profile.values[deltas < profile.threshold])
+        room = min(within[within > 0.0], default=0.0)
+        return end - direction * (min(excess / slope, room) if min(excess, slope) > 0.0 else 0.0)
+
+    intervals = tuple((moved(low, -1), moved(high, 1)) for low, high in profile.intervals)
+    sides = [
+        replace(side, end=end, max_deviance=side.max_deviance + gain)
+        for side, end in (
+            (profile.lower_side, intervals[0][0]),
+            (profile.upper_side, intervals[-1][1]),
+        )
+    ]
+    is_open = [x.max_deviance for x in sides if x.end is None]
+    if max(is_open, default=0.0) >= profile.threshold or not any(
+        (low is None or low <= value) and (high is None or value <= high) for low, high in intervals
+    ):
+        return None
+    return replace(
+        profile,
+        optimum=fit.theta,
+        optimum_value=value,
+        better_optimum=fit.theta,
+        deviance=fit.deviance,
+        deltas=deltas,
+        intervals=intervals,
+        lower_side=sides[0],
+        upper_side=sides[1],
+        practical_level=min(_level(x, profile.level, profile.threshold) for x in sides),
     )
 
 
@@ -358,6 +415,7 @@ class _Run:
 
     def profile(self) -> Profile:
         optimum = self.evaluator(self.optimum.theta)
+        starts = list(self.starts)
         for n_restarts in range(MOST_RESTARTS + 1):
             walk = ProfileContext(self.evaluator, self.quantity, self.threshold, optimum)
             walk.is_final = n_restarts == MOST_RESTARTS
@@ -367,19 +425,27 @@ class _Run:
                 if not gradient.any():
                     branches = constant_branches(walk, origin)
                 else:
-                    branches = find_branches(walk, walk_branch(walk, origin), self.starts)
+                    branches = find_branches(walk, walk_branch(walk, origin), starts)
             except BetterOptimumFound as found:
+                starts.insert(0, optimum.theta)
                 optimum = _settled(self.evaluator, found.theta, self.threshold)
                 continue
-            return assembled(
+            made = assembled(
                 walk,
                 self.problem,
                 branches,
                 optimum=self.optimum,
                 level=self.level,
-                better_optimum=optimum.theta if n_restarts else None,
                 n_restarts=n_restarts,
             )
+            if walk.best.deviance >= made.deviance - BETTER * self.threshold:
+                return made
+            starts.insert(0, optimum.theta)
+            optimum = _settled(self.evaluator, walk.best.theta, self.threshold)
+            value, _ = self.quantity.evaluate(optimum.theta)
+            above = above_lower_fit(made, optimum, value)
+            if above is not None and made.deviance - optimum.deviance <= walk.least_gain:
+                return above
         raise AssertionError  # pragma: no cover - the last round meets nothing better
 
 
@@ -522,9 +588,19 @@ def profile_quantities(
         )
         optimum = replace(from_plain(PolishedOptimum, polished), beyond=beyond)
         theta = optimum.theta
+        if found and not problem.parameters.is_of_interest.all():
+            fit = evaluate(problem, theta)
+            above = [
+                above_lower_fit(x, fit, value_at(quantity, theta)[0])
+                for x, quantity in zip(found, quantities, strict=True)
+                if x.deviance - fit.deviance <= BETTER_IF_LONG * x.threshold
+            ]
+            kept = [x for x in above if x is not None]
+            if len(kept) == len(found):
+                return tuple(kept)
         for quantity in quantities:
             value_at(quantity, theta)
-        kept = resumable_map(
+        made = resumable_map(
             partial(_profiled, problem, optimum, asked, {**settings, "starts": starts}),
             range(len(asked)),
             executor=executor,
@@ -532,7 +608,7 @@ def profile_quantities(
             name=f"profile round {round_}",
             description="profiling",
         )
-        found = tuple(from_plain(Profile, x) for x in kept)
+        found = tuple(from_plain(Profile, x) for x in made)
         # Once more from the lowest of the better optima met, unless all profiles start from it.
         lowest = min(found, key=lambda x: x.deviance)
         # A hundredth of what would start one profile over.
@@ -540,6 +616,7 @@ def profile_quantities(
             x.deviance <= lowest.deviance + 1e-6 * lowest.threshold for x in found
         ):
             break
+        starts = [theta, *np.reshape(starts, (-1, theta.size))]
         theta = np.array(lowest.better_optimum)
     return found
 

@@ -146,8 +146,9 @@ def _points_around(
     return points
 
 
-# Share of the threshold: a deviance lower than the optimum's by more restarts the profile.
-BETTER = 1e-4
+# Share of the threshold: a deviance lower than the optimum's by more restarts the profile. Beside
+# nuisances a little is gained often, and starting over is dear: ends are then moved afterwards.
+BETTER, BETTER_IF_LONG = 1e-4, 5e-2
 # Share of the threshold: reduction that a fit at the feasibility boundary may leave.
 CUT_OFF = 5e-2
 # How much farther than the last step the path may be extended by its curvature.
@@ -212,7 +213,7 @@ class ProfileContext:
     threshold
         Rise of the deviance that bounds the set.
     optimum
-        The best fit. A slightly lower deviance met later takes the place of its own.
+        The best fit. Rises are above its deviance, also where a slightly lower one is met later.
     """
 
     def __init__(
@@ -222,11 +223,14 @@ class ProfileContext:
         self.quantity = quantity
         self.threshold = threshold
         self.lowest = optimum.deviance
+        # The lowest fit met, the optimum to begin with.
+        self.best = optimum
         self.is_final = False
+        parameters = evaluator.parameters
         # At the feasibility boundary a slightly better fit is always met.
         is_settled = linear_reduction_bound(evaluator, optimum, None) <= CUT_OFF * threshold
-        self._better = (BETTER if is_settled else CUT_OFF) * threshold
-        parameters = evaluator.parameters
+        is_short = is_settled and parameters.is_of_interest.all()
+        self.least_gain = (BETTER if is_short else BETTER_IF_LONG) * threshold
         self.limits = (-np.inf, np.inf)
         if isinstance(quantity, ParameterQuantity):
             i = quantity.index
@@ -327,9 +331,13 @@ class ProfileContext:
         BetterOptimumFound
             If it is clearly better.
         """
-        if not self.is_final and evaluation.deviance < self.lowest - self._better:
+        if evaluation.deviance >= self.best.deviance:
+            return
+        self.best = evaluation
+        if self.is_final:
+            self.lowest = min(self.lowest, evaluation.deviance)
+        elif evaluation.deviance < self.lowest - self.least_gain:
             raise BetterOptimumFound(evaluation.theta)
-        self.lowest = min(self.lowest, evaluation.deviance)
 
     def start(self, value: float, last: ProfilePoint, other: ProfilePoint | None) -> Array:
         """Theta expected at a value: along the tangent of `last`, bent toward `other`, (n,)."""

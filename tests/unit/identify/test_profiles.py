@@ -11,6 +11,7 @@ from identknee.calibrate.bounded_least_squares import minimise
 from identknee.calibrate.problem import (
     Evaluator,
     ParameterQuantity,
+    Quantity,
     RestrictedQuantity,
     UserQuantity,
     with_bounds,
@@ -166,6 +167,48 @@ def test_ends_are_those_of_the_lowest_valley_of_a_nuisance() -> None:
             assert end is not None
             n_missed += abs(end - there) > 0.02 * width
     assert n_missed == 0
+
+
+def _two_valleys(tilt: float) -> ClosedForm:
+    """Two valleys of a nuisance, of which that at 2 is lower by 16 times the squared tilt."""
+    plain = plain_parameters(2, -9.0, 9.0)
+    return ClosedForm(
+        name="two valleys",
+        parameters=replace(plain, is_nuisance=np.array([False, True])),
+        start=np.zeros(2),
+        minimum=np.array([0.5, 2.0]),
+        lowest=0.0,
+        residuals_at=lambda x: np.array(
+            [x[0] - x[1] / 4.0, 2.0 * (x[1] ** 2 - 4.0), tilt * (x[1] - 2.0)]
+        ),
+        jacobian_at=lambda x: np.array([[1.0, -0.25], [0.0, 4.0 * x[1]], [0.0, tilt]]),
+    )
+
+
+@pytest.mark.parametrize(("gain", "most_restarts"), [(0.15, 0), (1.0, 1)])
+def test_above_a_little_lower_fit_ends_lie_where_they_do_from_it(
+    gain: float, most_restarts: int
+) -> None:
+    """Beside nuisances nothing is walked again for less than a twentieth of the threshold."""
+    problem = _two_valleys(np.sqrt(gain) / 4.0)
+    quantities: list[Quantity] = [
+        ParameterQuantity(parameters=problem.parameters, name="x0.value_pct"),
+        UserQuantity(
+            name="sum", unit="", function=lambda x: float(x.sum()), gradient=lambda _: np.ones(2)
+        ),
+    ]
+    (first, other), expected = (
+        profile_quantities(problem, start, quantities)
+        for start in (np.array([-0.5, -2.0]), problem.minimum)
+    )
+    assert max(first.n_restarts, other.n_restarts) <= most_restarts
+    for found, wanted in zip((first, other), expected, strict=True):
+        np.testing.assert_allclose(found.optimum, problem.minimum, atol=1e-3)
+        assert found.deviance == pytest.approx(0.0, abs=1e-5)
+        assert found.optimum_value == pytest.approx(wanted.optimum_value, abs=1e-3)
+        ends, there = (np.array(x.intervals, float).ravel() for x in (found, wanted))
+        np.testing.assert_allclose(ends, there, atol=2e-3)
+        np.testing.assert_allclose(found.deltas.min(), 0.0, atol=1e-3)
 
 
 def test_an_optimum_without_a_prediction_is_refused() -> None:
