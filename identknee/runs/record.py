@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum, unique
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Self
 
@@ -96,6 +97,12 @@ def record(
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the installed packages that numbers depend on, by name."""
+    return dict(_versions())
+
+
+# What is imported stays what it is, whatever is installed meanwhile.
+@cache
+def _versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:

@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import resources
 from typing import Any
 
@@ -330,6 +331,12 @@ def reference_knee(edge_mm: float = EDGE_MM, *, femur_edge_mm: float | None = No
     for edge in (edge_mm, femur_edge_mm):
         if not 0.2 <= edge <= 10.0:
             raise ValueError(f"the edge of the triangles must be within 0.2 to 10 mm, got {edge:g}")
+    return _reference_knee(float(edge_mm), float(femur_edge_mm))
+
+
+# A knee cannot change, and whatever is worked out of its surfaces is kept with it.
+@lru_cache(maxsize=4)
+def _reference_knee(edge_mm: float, femur_edge_mm: float) -> Knee:
     table = resources.files("identknee.subject").joinpath("reference_knee.toml")
     numbers = tomllib.loads(table.read_text("utf-8"))
     condyles = tuple(Condyle(**_values(x)) for x in numbers["femur"].values())

@@ -393,7 +393,7 @@ def _write_arrays(path: Path, answer: Answer) -> bytes:
     # The library writes to paths only; its file becomes bytes that are written whole or not at all.
     temporary = temporary_path_beside(path)
     try:
-        tree.to_netcdf(temporary, engine="h5netcdf")
+        tree.to_netcdf(temporary, engine="netcdf4")
         content = temporary.read_bytes()
     except OSError as error:
         remedy = "Free some space or choose another folder with --out."
@@ -411,7 +411,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
     with warnings.catch_warnings(), _silenced_netcdf_close():
         warnings.simplefilter("ignore")
         try:
-            with xarray.open_datatree(path, engine="h5netcdf") as tree:
+            with xarray.open_datatree(path, engine="netcdf4") as tree:
                 return {name: node.to_dataset().load() for name, node in tree.children.items()}
         # The libraries below raise errors of many types at a damaged file.
         except Exception as error:  # noqa: BLE001

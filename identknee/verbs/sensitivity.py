@@ -181,7 +181,7 @@ def posterior_draws(folder: PathLike, names: tuple[str, ...], n: int) -> Array:
     if not path.is_file():
         raise InputError(path, "", "there are no results to read", remedy)
     try:
-        tree = xarray.open_datatree(path, engine="h5netcdf")
+        tree = xarray.open_datatree(path, engine="netcdf4")
     except OSError as error:
         raise InputError(path, "", f"there are no results to read ({error})", remedy) from error
     with tree:

@@ -369,12 +369,12 @@ def _edit(content: bytes, folder: Path) -> str:
     import xarray
 
     verb, number, kind = json.loads(content)
-    with xarray.open_datatree(RESULTS / verb / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(RESULTS / verb / "result.nc", engine="netcdf4") as tree:
         groups = {x: node.to_dataset().load() for x, node in tree.children.items()}
     places = [(group, name) for group, data in groups.items() for name in data.variables]
     group, name = places[number % len(places)]
     groups[group] = _edited(groups[group], name, kind)
-    xarray.DataTree.from_dict(groups).to_netcdf(folder / "result.nc", engine="h5netcdf")
+    xarray.DataTree.from_dict(groups).to_netcdf(folder / "result.nc", engine="netcdf4")
     summary = json.loads((RESULTS / verb / "result.json").read_text(encoding="utf-8"))
     summary["record"]["arrays"] = digest(folder / "result.nc")
     (folder / "result.json").write_text(json.dumps(summary), encoding="utf-8")

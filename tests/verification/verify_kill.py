@@ -107,7 +107,7 @@ def _digests(folder: Path, verb: str, code: int | None) -> dict[str, str]:
         raise RuntimeError(f"identknee {verb} left no result; its exit code is {code}")
     summary = json.loads((folder / "result.json").read_text("utf-8"))
     texts = {f"json {place}": json.dumps(value) for place, value in _leaves(summary)}
-    with xarray.open_datatree(folder / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(folder / "result.nc", engine="netcdf4") as tree:
         for place, value in _arrays(tree):
             texts[f"nc {place}"] = value
     return {

@@ -53,7 +53,7 @@ def test_the_story_is_told_and_kept(tmp_path: Path) -> None:
     assert summary["truth"]["ACL"]["stiffness_kN"] == 10.0
     assert len(summary["profiles"]) == 8
     assert "95 % confidence" in result.stdout
-    with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(out / "result.nc", engine="netcdf4") as tree:
         assert tree["fits"]["theta"].sizes == {"search": 4, "run": 1, "parameter": 8}
 
 

@@ -41,7 +41,7 @@ def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Pat
     predicted = high - low
     assert after < before
     assert predicted == pytest.approx(after, rel=0.05)
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert {"design", "profile_before", "profile_after"} <= set(tree.children)
         assert tree["design"].dataset.sizes["candidate"] == 10
     advised = ik.read_laxity(tmp_path / "advised_trials.csv")
@@ -106,7 +106,7 @@ def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_
     answer = load(tmp_path)
     assert isinstance(answer, ik.Design)
     assert answer.choice.ranking == tuple(summary["ranking"])
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert set(tree["design"].dataset["error"].values) == insertions
 
 

@@ -56,7 +56,7 @@ def test_the_keys_that_checks_read_are_there(framed: tuple[Path, Path, str]) -> 
 def test_arrays_and_pictures_are_left_beside(framed: tuple[Path, Path, str]) -> None:
     data, out, _ = framed
     n = ik.read_laxity(data).n
-    with xarray.open_datatree(out / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(out / "result.nc", engine="netcdf4") as tree:
         assert tree["residuals"]["before"].shape == (n, 5)
         assert {"misfit", "scores", "refits", "observed_data"} <= set(tree.children)
         wrench = tree["missing_wrench"]["outside"]

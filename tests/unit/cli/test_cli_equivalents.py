@@ -45,7 +45,7 @@ def test_sets_and_what_they_leave_open(table: Path, tmp_path: Path) -> None:
     assert len(summary["quantities"]) == 4 * 10
     for x in (*summary["parameters"].values(), *summary["quantities"].values()):
         assert x["lower"] <= x["fit"] <= x["upper"]
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         data = tree["equivalent_sets"].dataset
         assert data["theta"].shape == (12, 5)
         assert data["tension_N"].shape == (12, 10, 4)

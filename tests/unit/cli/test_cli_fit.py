@@ -49,7 +49,7 @@ def test_the_arrays_hold_the_fit(tmp_path: Path) -> None:
     data = noise_free(tmp_path)
     result = run("fit", "reference", data, "--start", "IG2", "--out", tmp_path, "--json")
     summary = json.loads(result.stdout)
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         groups = {"constant_data", "observed_data", "predictions", "optimization", "errors"}
         assert set(tree.children) == groups
         fit = tree["optimization"].dataset

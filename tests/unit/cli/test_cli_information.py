@@ -33,7 +33,7 @@ def test_what_is_known_is_said_in_words_and_files(noisy: Path, tmp_path: Path) -
     assert len(summary["collinear"]) == 6
     assert summary["structure"]["verdict"] == "full_rank"
     assert summary["n_simulations"] > summary["structure"]["n_points"]
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert set(tree.children) == {"fisher", "structure", "geodesics"}
 
 

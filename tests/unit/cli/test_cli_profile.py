@@ -43,7 +43,7 @@ def test_the_keys_that_checks_read_are_there(noisy: Path, tmp_path: Path) -> Non
     assert f"varus_deg@{trial}" in summary["quantities"]
     assert f"MCL.tension_N@{trial}" in summary["quantities"]
     assert "verdict" in result.stdout
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert {"profile", "profile_quantities"} <= set(tree.children)
 
 

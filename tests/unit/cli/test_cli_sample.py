@@ -40,7 +40,7 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
     one = summary["parameters"]["ACL.stiffness_kN"]
     assert one["q025"] < one["mean"] < one["q975"]
     assert one["leans_on"] in {"data", "prior", "both", "neither"}
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         theta = tree["posterior"]["theta"]
         assert theta.dims == ("chain", "draw", "parameter")
         assert theta.sizes["chain"] == 40
@@ -62,7 +62,7 @@ def test_a_short_sample_and_its_files(table: Path, tmp_path: Path) -> None:
     asked = json.loads(more.stdout)
     assert asked["parameters"] == summary["parameters"]
     assert asked["quantities"][name]["q025"] < asked["quantities"][name]["mean"]
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         predictive = tree["posterior_predictive"]
         draws = predictive["quantities"].sel(quantity=force)
         tension = predictive["tension_N"].sel(trial="flexion30_varus4Nm", ligament="LCL")

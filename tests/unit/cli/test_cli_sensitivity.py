@@ -27,7 +27,7 @@ def test_sobol_indices_of_the_laxity(tmp_path: Path) -> None:
     assert set(summary["indices"]) == {"S1", "ST"}
     assert summary["more_simulations_to_half_width_0.02"] > 0
     assert summary["record"]["verb"] == "sensitivity"
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         data = tree["sensitivity"].dataset["index_by_level"].sel(index="ST")[-1]
         assert data.shape == (5 * 2 * 5 + 1, 8)
         top = summary["indices"]["ST"]["ACL.stiffness_kN"]["largest"]
@@ -68,7 +68,7 @@ def test_over_a_posterior(tmp_path: Path) -> None:
     folder = tmp_path / "sample"
     folder.mkdir()
     tree = xarray.DataTree.from_dict({"posterior": data})
-    tree.to_netcdf(folder / "result.nc", engine="h5netcdf")
+    tree.to_netcdf(folder / "result.nc", engine="netcdf4")
     words = ("--method", "pawn", "--posterior", folder, "--out", tmp_path / "out", "--verbose")
     result = run(*WORDS, PROTOCOL, short_protocol(tmp_path), *words)
     assert result.exit_code == 0, result.output

@@ -70,7 +70,7 @@ def test_the_summary_has_the_keys_others_rely_on(tmp_path: Path) -> None:
 def test_the_arrays_are_in_named_groups(tmp_path: Path) -> None:
     short = short_protocol(tmp_path)
     run("simulate", "reference", "--protocol", short, "--noise", "0.1mm,0.2deg", "--out", tmp_path)
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert set(tree.children) == {"constant_data", "predictions", "observed_data"}
         table = ik.read_laxity(tmp_path / "laxity.csv").coordinates
         np.testing.assert_array_equal(tree["observed_data"]["coordinates"], table)

@@ -41,7 +41,7 @@ def test_a_sweep_tells_its_ends_apart(data: Path, tmp_path: Path) -> None:
     assert found["unseen_mass"]["upper"] <= 1.0
     assert found["cliffs"]["n_paths"] == 4
     assert len(found["basins"][0]["parameters"]) == 8
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert tree["optimization"]["theta_polished"].shape == (12, 8)
         assert {"optimization", "basins", "recovery", "cliffs", "timing"} < set(tree.children)
 

@@ -21,7 +21,7 @@ Groups = dict[str, xarray.Dataset]
 
 
 def groups_of(verb: str) -> Groups:
-    with xarray.open_datatree(RESULTS / verb / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(RESULTS / verb / "result.nc", engine="netcdf4") as tree:
         return {name: node.to_dataset().load() for name, node in tree.children.items()}
 
 
@@ -124,10 +124,10 @@ def damaged(folder: Path, verb: str, change: Callable[[xarray.DataTree], None]) 
     """A stored answer whose arrays were changed as if the verb had written them so."""
     shutil.copytree(RESULTS / verb, folder, dirs_exist_ok=True)
     path = folder / "result.nc"
-    with xarray.open_datatree(path, engine="h5netcdf") as tree:
+    with xarray.open_datatree(path, engine="netcdf4") as tree:
         tree = tree.load()
     change(tree)
-    tree.to_netcdf(path, engine="h5netcdf")
+    tree.to_netcdf(path, engine="netcdf4")
     summary = summary_of(verb)
     summary["record"]["arrays"] = digest(path)
     (folder / "result.json").write_text(json.dumps(summary), encoding="utf-8")

@@ -11,7 +11,7 @@ from identknee.verbs.sensitivity import posterior_draws
 
 def draws_file(folder: Path, group: xarray.Dataset, name: str = "posterior") -> Path:
     folder.mkdir()
-    xarray.DataTree.from_dict({name: group}).to_netcdf(folder / "result.nc", engine="h5netcdf")
+    xarray.DataTree.from_dict({name: group}).to_netcdf(folder / "result.nc", engine="netcdf4")
     return folder
 
 

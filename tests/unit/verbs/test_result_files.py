@@ -32,7 +32,7 @@ def test_both_files_hold_what_was_given(tmp_path: Path) -> None:
     assert written.record is not None
     assert read["record"] == {**written.record.to_dict(), "arrays": digest(tmp_path / "result.nc")}
     assert read["record"]["seed"] == 3
-    with xarray.open_datatree(tmp_path / "result.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(tmp_path / "result.nc", engine="netcdf4") as tree:
         assert tree.attrs["verb"] == "profile"
         np.testing.assert_array_equal(tree["result"]["theta"], given.optimum)
 
