@@ -40,6 +40,7 @@ def test_laxity_is_fitted_and_parameters_nearly_recovered(start: str) -> None:
             assert share.max() <= ROOM * LARGEST_SHARE
 
 
+@pytest.mark.slow
 def test_from_the_far_start_the_laxity_fits_and_the_parameters_do_not() -> None:
     runs = runs_from("IG4")
     assert values(runs, "IG4", "mm").max() <= ROOM * IG4_RMSE[0]

@@ -25,7 +25,7 @@ from common.records import commit, knee_digest, rounded, study_knee
 from identknee.runs.files import plain
 
 STUDIES = Path(__file__).parents[2] / "studies"
-SHARE = 0.002
+SHARE = 0.001
 # What the entries drawn from one study may take together, by the times recorded with them [s].
 MOST_SECONDS = 3.0
 MOST_SHOWN = 5

@@ -123,6 +123,7 @@ def _search(laxity: Laxity, knee: Knee | None = None) -> TrialSearch:
 
 
 @pytest.mark.usefixtures("no_conventions")
+@pytest.mark.slow
 def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() -> None:
     laxity = displaced(as_read())
     found = ik.information(slack(), laxity, noise="0.3mm,0.3deg")

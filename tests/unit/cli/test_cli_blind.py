@@ -98,6 +98,7 @@ def test_what_a_random_case_says_of_its_signal_tells_nothing(tmp_path: Path) -> 
     assert "less than 6" in said[0]
 
 
+@pytest.mark.slow
 def test_python_gives_the_same_data_and_reveals_the_same(folder: Path, tmp_path: Path) -> None:
     made = ik.blind_test.make_blind(**OPTIONS)
     assert said(load(folder)) == said(made)

@@ -110,6 +110,7 @@ def test_an_insertion_known_better_is_ranked_beside_the_trials(noisy: Path, tmp_
         assert set(tree["design"].dataset["error"].values) == insertions
 
 
+@pytest.mark.slow
 def test_other_steps_are_compared_with_one_more_trial_before_there_are_data(
     tmp_path: Path,
 ) -> None:

@@ -86,6 +86,7 @@ def test_a_subject_that_is_gone_is_reported_without_its_knee(folder: Path, tmp_p
 
 
 @pytest.mark.usefixtures("no_drawings")
+@pytest.mark.slow
 def test_a_subject_called_uncertain_is_the_same_subject(folder: Path, tmp_path: Path) -> None:
     table = folder / "simulate" / "laxity.csv"
     stated = ("--uncertain", "contact_modulus=0.3", "--out", tmp_path)

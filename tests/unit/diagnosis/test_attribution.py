@@ -403,6 +403,7 @@ def test_only_what_scores_is_refitted(one: Attribution) -> None:
     assert refit_top_candidates(quiet, one.base) == ()
 
 
+@pytest.mark.slow
 def test_refits_of_another_process_are_the_same(one: Attribution) -> None:
     step, executor = one.steps[0], Elsewhere()
     few = replace(step, scores=replace(step.scores, candidates=step.scores.candidates[:2]))

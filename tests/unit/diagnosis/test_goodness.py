@@ -123,6 +123,7 @@ def test_errors_of_smooth_processes_have_their_covariance() -> None:
     assert process_errors(0.0 * LOADS, FLEXION, measured, sd).shape == (126, 0)
 
 
+@pytest.mark.slow
 def test_errors_of_processes_at_many_places_are_those_at_few() -> None:
     """Twenty times as many loads, each a little different, add no error of a process."""
     generator = np.random.default_rng(12)

@@ -113,6 +113,7 @@ def test_what_the_parameters_explain_of_a_cell_is_allowed_for() -> None:
     assert np.mean(scores**2) == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.slow
 def test_noise_points_nowhere_as_often_as_stated() -> None:
     nulls = FIT.residuals(np.random.default_rng(2), N_NULLS)
     found = [localise(r, FIT.projector, NOISE, LAYOUT, seed=1) for r in nulls]

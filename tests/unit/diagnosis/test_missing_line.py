@@ -80,6 +80,7 @@ def test_a_structure_is_found_where_it_is(
     assert "medial" in found.sentence
 
 
+@pytest.mark.slow
 def test_errors_without_pattern_are_not_a_line_force(model: LaxityModel) -> None:
     laxity = add_noise(model.simulate(model.parameters.center), sd_mm=0.3, sd_deg=0.3, seed=6)
     coordinates = np.array(laxity.coordinates)

@@ -56,6 +56,7 @@ def test_an_error_beyond_what_is_stated_names_the_ligament() -> None:
     assert "identknee diagnose" not in finding.sentence
 
 
+@pytest.mark.slow
 def test_what_is_stated_to_be_uncertain_is_no_candidate() -> None:
     assert "insertion" not in {x.name for x in diagnosed(TWO_MM).exclusions}
     assert "insertion" in {x.name for x in diagnosed(Uncertainty()).exclusions}

@@ -19,6 +19,7 @@ def line() -> Linear:
     return Linear(parameters=parameters, matrix=matrix, data=np.array([1.0, -1.0, 0.5]))
 
 
+@pytest.mark.slow
 def test_evidence_and_marginals_of_a_linear_problem() -> None:
     problem = line()
     found = nested_posterior(problem, n_live=250, seed=1)

@@ -93,6 +93,7 @@ def test_estimates_have_the_covariance_of_data_and_prior(problem: Linear) -> Non
     np.testing.assert_allclose([x.value for x in found], best.theta[2:])
 
 
+@pytest.mark.slow
 def test_groups_beyond_their_prior_are_as_rare_as_they_say() -> None:
     """P-values of nuisances drawn from their prior are uniform: mean 1/2, sd 1/sqrt(12 n)."""
     generator = np.random.default_rng(2)

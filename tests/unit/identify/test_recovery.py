@@ -31,6 +31,7 @@ def test_scattered_distances_are_counted_in_ten_groups() -> None:
     assert found.shares[-1].value == 0.0
 
 
+@pytest.mark.slow
 def test_the_radius_of_a_curve_is_found_and_covered() -> None:
     covered, replicates = 0, 100
     for seed in range(replicates):

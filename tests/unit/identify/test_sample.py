@@ -205,7 +205,7 @@ class Killed:
         return self.problem.jacobian(theta)
 
 
-@pytest.mark.parametrize("moves", some_slow(["newton", "surrogate"], ["surrogate"]))
+@pytest.mark.parametrize("moves", some_slow(["newton", "surrogate"], ["newton", "surrogate"]))
 def test_killed_and_resumed_it_is_the_same_bit_for_bit(moves: str, tmp_path: Path) -> None:
     problem = line()
     settings: dict[str, Any] = {

@@ -127,6 +127,7 @@ def test_what_is_missing_to_a_half_width() -> None:
     assert effects.more_simulations() == pytest.approx(np.zeros(4))
 
 
+@pytest.mark.slow
 def test_the_executor_changes_nothing() -> None:
     one = sensitivity(Linear(end=0.5), BOX, n_samples=16)
     given = sensitivity(Linear(), DRAWS, method="shapley")

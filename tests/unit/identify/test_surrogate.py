@@ -96,6 +96,7 @@ def test_the_sample_is_of_the_exact_posterior(ripple: float, waves: float) -> No
     assert np.all(np.abs(found.sd - other.sd) < 5.0 * error)
 
 
+@pytest.mark.slow
 def test_one_simulation_gives_a_draw_where_the_surrogate_is_good() -> None:
     rule = StopRule(drift=np.inf, autocorrelation_times=100.0)
     found = sample(bowl(), ensembles=Ensembles(moves="surrogate", n_prior=0), rule=rule, seed=2)

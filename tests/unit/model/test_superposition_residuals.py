@@ -152,6 +152,7 @@ def test_what_is_weighed_once_keeps_its_covariance() -> None:
     np.testing.assert_allclose(left.sd, problem.sd[[2, 0]], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_errors_of_simulated_readings_have_this_covariance() -> None:
     model = _model()
     start = model.parameters.start

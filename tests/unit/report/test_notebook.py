@@ -139,6 +139,7 @@ with module.progress_bar("fitting <a>", 4) as advance:
 LONG_CELLS = (AT_ONCE, LONG, "list(module.progress(range(3), description='short'))")
 
 
+@pytest.mark.slow
 def test_a_notebook_has_one_bar_that_changes_in_its_cell(tmp_path: Path) -> None:
     cells = [{"cell_type": "code", "metadata": {}, "source": x, "outputs": []} for x in LONG_CELLS]
     written = {"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}

@@ -25,7 +25,8 @@ def bent() -> ik.Laxity:
 @pytest.mark.parametrize(
     "verb",
     quick_verbs(
-        ("information", "profile", "equivalents", "sample"), slow=("equivalents", "sample")
+        ("information", "profile", "equivalents", "sample"),
+        slow=("equivalents", "sample", "information"),
     ),
 )
 def test_verbs_average_over_it_and_say_so(verb: str, bent: ik.Laxity) -> None:

@@ -53,7 +53,9 @@ def _best(answer: Any) -> np.ndarray:
     return np.array([answer.optimum_by_name[x] for x in NAMES])
 
 
-@pytest.mark.parametrize("verb", quick_verbs(slow=("sample", "design", "equivalents")))
+@pytest.mark.parametrize(
+    "verb", quick_verbs(slow=("sample", "design", "equivalents", "information"))
+)
 def test_priors_count_where_they_are_asked_for(
     verb: str, laxity: ik.Laxity, certain: ik.Knee
 ) -> None:

@@ -41,7 +41,9 @@ def laxity(tmp_path_factory: pytest.TempPathFactory) -> ik.Laxity:
     return ik.add_noise(ik.simulate(knee, protocol).laxity, sd_mm=0.3, sd_deg=0.3, seed=1)
 
 
-@pytest.mark.parametrize("verb", some_slow(CALLS, ("sample", "design", "equivalents", "sweep")))
+@pytest.mark.parametrize(
+    "verb", some_slow(CALLS, ("sample", "design", "equivalents", "sweep", "information"))
+)
 def test_python_and_command_line_agree(verb: str, laxity: ik.Laxity, tmp_path: Path) -> None:
     function, options = CALLS[verb]
     data = ik.write_laxity(laxity, tmp_path / "data.csv")

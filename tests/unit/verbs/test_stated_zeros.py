@@ -72,6 +72,7 @@ def test_mountings_of_other_zeros_agree() -> None:
     assert agreement.p_value > 0.01
 
 
+@pytest.mark.slow
 def test_mountings_farther_apart_than_stated_do_not() -> None:
     """A wrong model of one table is no zero: trials under load are moved, the unloaded are not."""
     data = _of_two_mountings(5, np.zeros(5))

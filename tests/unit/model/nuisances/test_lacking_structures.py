@@ -96,6 +96,7 @@ def test_forces_of_a_model_without_a_capsule_are_right_with_them(reference: Knee
     assert np.mean(np.abs(errors) < 1.96 * sds) > 0.85
 
 
+@pytest.mark.slow
 def test_one_option_of_verbs_states_them(reference: Knee) -> None:
     made = ik.simulate(reference, "drawer")
     exact = ik.Laxity(protocol=made.protocol, coordinates=made.coordinates)
