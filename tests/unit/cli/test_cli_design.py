@@ -60,6 +60,7 @@ def test_advice_is_given_verified_and_can_be_appended(noisy: Path, tmp_path: Pat
     assert ik.read_laxity(both).n == 11
 
 
+@pytest.mark.slow
 def test_noise_that_is_not_stated_is_estimated(noisy: Path, tmp_path: Path) -> None:
     laxity = ik.read_laxity(noisy)
     bare = ik.Laxity(protocol=laxity.protocol, coordinates=laxity.coordinates)
@@ -146,6 +147,7 @@ def test_plans_that_say_too_little_are_refused(
     assert sentence in refused("design", "reference", *words, "--out", tmp_path)
 
 
+@pytest.mark.slow
 def test_trials_are_advised_in_the_state_in_which_the_knee_was_left(tmp_path: Path) -> None:
     """Of the data, or of the candidates where these have states of their own."""
     whole = ik.load_protocol("table2").select(range(9))

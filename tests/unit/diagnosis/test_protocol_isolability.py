@@ -41,12 +41,14 @@ def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("identknee.diagnosis.advice._advise", named)
 
 
+@pytest.mark.slow
 def test_moment_gains_pass_for_each_other(found: ProtocolIsolability) -> None:
     """Both scale all stiffnesses, so that only contact could tell."""
     assert "moment_gain_VV" in found.look_alikes["moment_gain_IE"]
     assert any({"moment_gain_IE", "moment_gain_VV"} <= set(x) for x in found.groups)
 
 
+@pytest.mark.slow
 def test_trials_advised_set_groups_apart(found: ProtocolIsolability) -> None:
     for group in found.advice:
         assert group.trials.n == MOST_TRIALS or group.after > ENOUGH
@@ -54,6 +56,7 @@ def test_trials_advised_set_groups_apart(found: ProtocolIsolability) -> None:
         assert not set(group.trials.trials) & set(found.protocol.trials)
 
 
+@pytest.mark.slow
 def test_look_alikes_are_near_and_mutual(found: ProtocolIsolability, reference: Knee) -> None:
     assert list(found.look_alikes) == [x.name for x in library(reference)]
     for name, near in found.look_alikes.items():
@@ -64,6 +67,7 @@ def test_look_alikes_are_near_and_mutual(found: ProtocolIsolability, reference: 
 
 
 @pytest.mark.usefixtures("no_search")
+@pytest.mark.slow
 def test_less_noise_shows_smaller_effects(found: ProtocolIsolability, reference: Knee) -> None:
     """Little of the noise is roughness of the surfaces, which stays."""
     quieter = {x.name: x.detectable for x in _found(reference, 0.5 * SD).visibility}

@@ -111,6 +111,7 @@ def test_walkers_go_from_one_basin_to_the_other() -> None:
     assert abs(positive - 0.5) < SIGMAS * 0.5 * found.last_check.mean_error.max()
 
 
+@pytest.mark.slow
 def test_a_sloppy_problem_gets_60_effective_draws_from_1000_simulations() -> None:
     rule = StopRule(drift=np.inf)
     found = sample(IN_NOISE, rule=rule, seed=4)

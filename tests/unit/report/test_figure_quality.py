@@ -45,7 +45,7 @@ def pictures(verb: str) -> dict[str, str]:
     return {k: inline_svg(x.figure, k, x.description) for k, x in made.items()}
 
 
-@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo"]))
+@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo", "diagnose"]))
 def test_figures_can_be_read(verb: str) -> None:
     shown = stored_figures(verb)
     found = {name: faults(x, shown.names) for name, x in shown.figures.items()}
@@ -73,7 +73,7 @@ def test_letters_are_large_enough_on_every_page(verb: str) -> None:
             assert smallest_text(svg, width) >= LEAST_LETTERS, (name, width)
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo"]))
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_of_figures_stands_out(verb: str, scheme: str) -> None:
     pale = {

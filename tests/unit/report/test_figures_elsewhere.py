@@ -154,6 +154,7 @@ def test_a_knee_that_is_not_that_of_the_result_is_not_drawn() -> None:
         ik.load(RESULTS / "information").plot("knee-loads")
 
 
+@pytest.mark.slow
 def test_a_corner_of_eight_parameters_has_the_width_of_two_columns() -> None:
     names = [f"{x}.{y}" for x in ("ACL", "PCL", "LCL", "MCL") for y in FREE]
     draws = np.random.default_rng(1).normal(size=(200, len(names)))

@@ -81,6 +81,7 @@ def test_help_fits_a_screen() -> None:
         assert name in inspect.cleandoc(str(ik.__doc__))
 
 
+@pytest.mark.slow
 def test_the_report_takes_answers_folders_or_both(data: ik.Laxity, tmp_path: Path) -> None:
     knee = ik.reference_knee()
     ik.simulate(knee, data.protocol, out=tmp_path / "one")
