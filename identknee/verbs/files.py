@@ -1,10 +1,7 @@
 """Answers as two files, and back: a flat summary for people and checks, and all arrays."""
 
-import gc
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import fields, replace
 from enum import Enum
 from pathlib import Path
@@ -408,7 +405,7 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
     if digest(path) != sha:
         why = "it is not the file that was written with result.json"
         raise InputError(path, "", why, AGAIN)
-    with warnings.catch_warnings(), _silenced_netcdf_close():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             with xarray.open_datatree(path, engine="netcdf4") as tree:
@@ -416,17 +413,4 @@ def _groups(path: Path, sha: Any) -> dict[str, xarray.Dataset]:
         # The libraries below raise errors of many types at a damaged file.
         except Exception as error:  # noqa: BLE001
             why = f"the arrays cannot be read ({type(error).__name__}: {shown(str(error))})"
-        # What failed may wait for its end in a circle.
-        gc.collect()
     raise InputError(path, "", why, AGAIN)
-
-
-@contextmanager
-def _silenced_netcdf_close() -> Iterator[None]:
-    """Keep off the terminal what the library prints when it closes a file it could not open."""
-    shown_before = sys.unraisablehook
-    sys.unraisablehook = lambda _: None
-    try:
-        yield
-    finally:
-        sys.unraisablehook = shown_before

@@ -181,13 +181,13 @@ def posterior_draws(folder: PathLike, names: tuple[str, ...], n: int) -> Array:
     if not path.is_file():
         raise InputError(path, "", "there are no results to read", remedy)
     try:
-        tree = xarray.open_datatree(path, engine="netcdf4")
-    except OSError as error:
+        with xarray.open_datatree(path, engine="netcdf4") as tree:
+            data = tree[POSTERIOR].to_dataset().load() if POSTERIOR in tree.children else None
+    # The library tells a damaged file by either.
+    except (OSError, RuntimeError) as error:
         raise InputError(path, "", f"there are no results to read ({error})", remedy) from error
-    with tree:
-        if POSTERIOR not in tree.children:
-            raise InputError(path, "", "there is no posterior in these results", remedy)
-        data = tree[POSTERIOR].to_dataset().load()
+    if data is None:
+        raise InputError(path, "", "there is no posterior in these results", remedy)
     draws = _by_name(data, names)
     if draws is None:
         why = f"its posterior is not one of {', '.join(names)}"

@@ -86,7 +86,6 @@ def test_naming_the_cause_brings_the_parameters_nearer_to_the_truth(
     assert np.median(errors[:, 1]) < np.median(errors[:, 0])
 
 
-@pytest.mark.slow
 def test_shuffled_load_labels_destroy_the_verdict() -> None:
     """The canary: whatever the code does, it must not know the answer without the loads."""
     knee = reference_knee()

@@ -192,8 +192,8 @@ IDENTIFICATION = (
     fault(
         "identknee/identify/profile/walk.py",
         "",
-        "BETTER, BETTER_IF_LONG = (1e-4, 5e-2)",
-        "BETTER, BETTER_IF_LONG = (1e-4, 1e-4)",
+        "BETTER, CLEARLY_BETTER = (1e-4, 5e-2)",
+        "BETTER, CLEARLY_BETTER = (1e-4, 1e-4)",
         "a profile beside nuisances starts over for next to nothing",
         "tests/unit/identify/test_profiles.py::test_above_a_little_lower_fit_ends_lie_where_they_do_from_it",
     ),

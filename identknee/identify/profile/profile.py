@@ -50,7 +50,7 @@ from identknee.identify.profile.result import (
 from identknee.identify.profile.walk import (
     AT_END,
     BETTER,
-    BETTER_IF_LONG,
+    CLEARLY_BETTER,
     FLAT,
     JUMP,
     BetterOptimumFound,
@@ -328,7 +328,8 @@ def profile(
 
     The optimum is polished first. From it the profile is walked outward on both sides; then a fit
     far beyond each end looks for another valley and approaches the end from there. A better fit
-    met anywhere starts everything over from it, at most five times.
+    met anywhere starts everything over from it, at most five times. Where it is only a little
+    better, beside nuisances or at the feasibility boundary, the ends are moved instead.
 
     That looks along the quantity only. Optima in which other parameters exchange their roles are
     found from `starts` alone; `identknee.identify.profile.profile.profile_quantities` looks for
@@ -441,11 +442,13 @@ class _Run:
             if walk.best.deviance >= made.deviance - BETTER * self.threshold:
                 return made
             starts.insert(0, optimum.theta)
+            n_before = self.evaluator.n_simulations
             optimum = _settled(self.evaluator, walk.best.theta, self.threshold)
+            n_polishing = self.evaluator.n_simulations - n_before
             value, _ = self.quantity.evaluate(optimum.theta)
             above = above_lower_fit(made, optimum, value)
             if above is not None and made.deviance - optimum.deviance <= walk.least_gain:
-                return above
+                return replace(above, n_simulations=made.n_simulations + n_polishing)
         raise AssertionError  # pragma: no cover - the last round meets nothing better
 
 
@@ -593,7 +596,7 @@ def profile_quantities(
             above = [
                 above_lower_fit(x, fit, value_at(quantity, theta)[0])
                 for x, quantity in zip(found, quantities, strict=True)
-                if x.deviance - fit.deviance <= BETTER_IF_LONG * x.threshold
+                if x.deviance - fit.deviance <= CLEARLY_BETTER * x.threshold
             ]
             kept = [x for x in above if x is not None]
             if len(kept) == len(found):

@@ -498,7 +498,7 @@ class Profile:
     )
     optimum: Array = array("Theta of the best fit", "parameter", unit=OF_PARAMETER)
     better_optimum: Array | None = array(
-        "A better fit than the one given, where the profile met one and started over from it",
+        "A better fit than the one given, where the profile met one: it is the optimum",
         "parameter",
         unit=OF_PARAMETER,
         default=None,

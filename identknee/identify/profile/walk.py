@@ -147,8 +147,8 @@ def _points_around(
 
 
 # Share of the threshold: a deviance lower than the optimum's by more restarts the profile. Beside
-# nuisances a little is gained often, and starting over is dear: ends are then moved afterwards.
-BETTER, BETTER_IF_LONG = 1e-4, 5e-2
+# nuisances and at the feasibility boundary a little is gained often, and the ends are moved.
+BETTER, CLEARLY_BETTER = 1e-4, 5e-2
 # Share of the threshold: reduction that a fit at the feasibility boundary may leave.
 CUT_OFF = 5e-2
 # How much farther than the last step the path may be extended by its curvature.
@@ -227,10 +227,9 @@ class ProfileContext:
         self.best = optimum
         self.is_final = False
         parameters = evaluator.parameters
-        # At the feasibility boundary a slightly better fit is always met.
         is_settled = linear_reduction_bound(evaluator, optimum, None) <= CUT_OFF * threshold
         is_short = is_settled and parameters.is_of_interest.all()
-        self.least_gain = (BETTER if is_short else BETTER_IF_LONG) * threshold
+        self.least_gain = (BETTER if is_short else CLEARLY_BETTER) * threshold
         self.limits = (-np.inf, np.inf)
         if isinstance(quantity, ParameterQuantity):
             i = quantity.index

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 import xarray
 
+from identknee.runs.errors import InputError
 from identknee.verbs.sensitivity import posterior_draws
+
+STORED = Path(__file__).parents[2] / "fuzz" / "results" / "sample" / "result.nc"
 
 
 def draws_file(folder: Path, group: xarray.Dataset, name: str = "posterior") -> Path:
@@ -41,3 +44,23 @@ def test_what_is_no_posterior_is_refused(tmp_path: Path) -> None:
     bare = draws_file(tmp_path / "bare", theta)
     with pytest.raises(ValueError, match="one of a"):
         posterior_draws(bare, ("a",), 10)
+
+
+def test_a_damaged_file_is_refused_or_read(tmp_path: Path) -> None:
+    with xarray.open_datatree(STORED, engine="netcdf4") as tree:
+        names = tuple(str(x) for x in tree["posterior"].dataset["parameter"].values)
+    content = STORED.read_bytes()
+    generator, refused = np.random.default_rng(1), 0
+    for k in range(30):
+        damaged = np.frombuffer(content, np.uint8).copy()
+        n = (1, 20, 200)[k % 3]
+        damaged[generator.integers(len(content), size=n)] = generator.integers(256, size=n)
+        # In a folder of its own: the library may still hold the last one.
+        folder = tmp_path / f"{k}"
+        folder.mkdir()
+        (folder / "result.nc").write_bytes(damaged.tobytes())
+        try:
+            posterior_draws(folder, names, 10)
+        except InputError:
+            refused += 1
+    assert 5 <= refused < 30
