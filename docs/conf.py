@@ -12,7 +12,7 @@ from jinja2 import FileSystemBytecodeCache
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-# A tutorial is to take one core, whatever the machine has.
+# Tutorials take one core, whatever the machine has.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from pages import write_pages  # noqa: E402
@@ -70,7 +70,6 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": False,
     "doc_module": (),
-    "parallel": 2,
     "image_scrapers": "pages.pictures.scraped",
     "capture_repr": (),
     "show_signature": False,
