@@ -44,7 +44,8 @@ def outcome(effect: str, seed: int) -> dict[str, Any]:
     return outcome_of(BlindTask(subject="reference", effects=(effect,), signal=SIGNAL, seed=seed))
 
 
-@pytest.mark.parametrize("n_nulls", some_slow(NULLS, [8]))
+@pytest.mark.slow
+@pytest.mark.parametrize("n_nulls", NULLS)
 def test_nothing_hidden_seldom_alarms(n_nulls: int) -> None:
     """More than one of four alarms at a rate of 5 % in 1.4 % of such tests, two of eight in 0.6 %.
 

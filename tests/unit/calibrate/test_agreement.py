@@ -46,6 +46,7 @@ def test_without_priors_it_is_the_formula_and_chi_square() -> None:
     assert binomtest(round(found.p_value * 2000), 2000, p).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_terms_that_agree_have_uniform_p_values() -> None:
     rng = np.random.default_rng(5)
     p_values = [_found(rng.normal(size=2 * N)).p_value for _ in range(150)]

@@ -44,9 +44,9 @@ def sampled(move: emcee.moves.Move, n: int = 2, seed: int = 1) -> Array:
 @pytest.mark.parametrize(
     "move",
     [
-        NewtonMove(),
+        pytest.param(NewtonMove(), marks=pytest.mark.slow),
         OwnKernelMove(),
-        HamiltonianMove(),
+        pytest.param(HamiltonianMove(), marks=pytest.mark.slow),
         SnookerMove(),
         *[m() for m in MOVES.values()],
     ],

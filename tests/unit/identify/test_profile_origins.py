@@ -238,7 +238,7 @@ def test_an_optimum_a_rounding_error_before_a_bound_has_a_profile() -> None:
 @pytest.mark.parametrize(
     ("knee", "seed", "name"),
     [
-        ("reference", 1, "ACL.reference_strain_pct"),
+        pytest.param("reference", 1, "ACL.reference_strain_pct", marks=pytest.mark.slow),
         pytest.param("reference", 3, "LCL.reference_strain_pct", marks=pytest.mark.slow),
         ("reference", 5, "ACL.stiffness_kN"),
         pytest.param("lenhart2015_stable", 1, "ACL.reference_strain_pct", marks=pytest.mark.slow),

@@ -9,6 +9,7 @@ from identknee.identify.sweep import shell_starts, survey, sweep
 TARGET = np.array([2.0, 0.0])
 
 
+@pytest.mark.slow
 def test_recovery_falls_where_the_other_basin_begins() -> None:
     problem = TwoWells()
     shells = [0.5, 1.0, 1.5, 2.0, 3.0]

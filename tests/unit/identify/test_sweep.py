@@ -130,7 +130,10 @@ def test_a_search_depends_on_its_number_alone() -> None:
     assert not np.array_equal(other.ends, some.ends)
 
 
-@pytest.mark.parametrize(("method", "budget"), [("least-squares", None), ("complex", 60)])
+@pytest.mark.parametrize(
+    ("method", "budget"),
+    [("least-squares", None), pytest.param("complex", 60, marks=pytest.mark.slow)],
+)
 def test_workers_and_chunks_change_nothing(
     method: str, budget: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

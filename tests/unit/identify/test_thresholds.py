@@ -37,6 +37,7 @@ def test_unknown_noise_is_student_squared() -> None:
     assert f_threshold(0.95, 10**8) == pytest.approx(chi2_threshold(0.95), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_simulated_data_of_a_linear_model_have_the_chi_squared_law() -> None:
     problem = Linear(parameters=plain_parameters(2), matrix=MATRIX, data=np.zeros(7))
     names = problem.parameters.names

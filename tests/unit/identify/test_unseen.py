@@ -27,6 +27,7 @@ def test_no_start_says_nothing() -> None:
     assert np.isnan(unseen_mass(np.array([-1])).estimate)
 
 
+@pytest.mark.slow
 def test_estimate_is_unbiased_and_limit_covers() -> None:
     """Two hundred basins whose volumes fall like 1/i, a hundred starts."""
     generator = np.random.default_rng(1)

@@ -221,6 +221,7 @@ def test_wedges_lie_around_the_plateaus_as_high_as_the_gaps() -> None:
         assert not ((inward * across > 6.0) & (np.abs(forward) < 6.0)).any()
 
 
+@pytest.mark.slow
 def test_more_points_change_the_prediction_little(monkeypatch: pytest.MonkeyPatch) -> None:
     knee = ik.subject.with_menisci(ik.example("lenhart2015_stable"))
     model = LaxityModel(knee=knee, protocol=ik.load_protocol("seed63").select(range(0, 63, 9)))

@@ -104,8 +104,7 @@ def _values(model: LaxityModel, found: Prediction) -> tuple[Array, Array, Array]
     return tensions, strains, contact_values(found)
 
 
-# What wraps has all that the reference knee has.
-@pytest.mark.parametrize("name", some_slow(MODELS, ["reference"]))
+@pytest.mark.parametrize("name", some_slow(MODELS, ["reference", "wrapped"]))
 def test_slopes_by_every_parameter_are_those_of_differences(name: str) -> None:
     model, theta = MODELS[name]()
     found, p = model.predict(theta), model.parameters

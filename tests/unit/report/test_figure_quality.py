@@ -73,7 +73,7 @@ def test_letters_are_large_enough_on_every_page(verb: str) -> None:
             assert smallest_text(svg, width) >= LEAST_LETTERS, (name, width)
 
 
-@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo"]))
+@pytest.mark.parametrize("verb", some_slow(VERBS, ["demo", "diagnose"]))
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_of_figures_stands_out(verb: str, scheme: str) -> None:
     pale = {
