@@ -11,7 +11,6 @@ from linear_data import (
     protocol,
     unit_noise,
 )
-from slow_cases import some_slow
 
 from identknee.diagnosis.misfit import (
     ResidualTest,
@@ -43,7 +42,7 @@ CHECKS: dict[str, Callable[[Array], ResidualTest]] = {
 }
 
 
-@pytest.mark.parametrize("name", some_slow(CHECKS, ["process"]))
+@pytest.mark.parametrize("name", CHECKS)
 def test_noise_alarms_as_often_as_stated(name: str) -> None:
     nulls = FIT.residuals(np.random.default_rng(1), N_NULLS)
     p_values = np.array([CHECKS[name](r).p_value for r in nulls])

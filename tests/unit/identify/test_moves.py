@@ -44,9 +44,9 @@ def sampled(move: emcee.moves.Move, n: int = 2, seed: int = 1) -> Array:
 @pytest.mark.parametrize(
     "move",
     [
-        pytest.param(NewtonMove(), marks=pytest.mark.slow),
+        NewtonMove(),
         OwnKernelMove(),
-        pytest.param(HamiltonianMove(), marks=pytest.mark.slow),
+        HamiltonianMove(),
         SnookerMove(),
         *[m() for m in MOVES.values()],
     ],
