@@ -2,9 +2,9 @@
 
 An end is wrong by more than 2 % of its interval if parameters are likely that far outside, or none
 are likely that far inside. So at both places the parameter is held and all others are fitted from
-twenty starts, and from points of the profile that walk there. Where a side is open, the fits lie
-where the profile stopped, and beyond. Rises count from the lowest fit that the profiles or these
-searches found of the knee.
+twenty starts, from where the profile's curve is expected, and from its points, which walk there.
+Where a side is open, the fits lie where the profile stopped, and beyond. Rises count from the
+lowest fit that the profiles or these searches found of the knee.
 """
 
 import argparse
@@ -96,24 +96,30 @@ def _reference(knee: str, end: Mapping[str, Any]) -> dict[str, Any]:
         value = end["value"] + away
         if not parameters.lower[place] <= value <= parameters.upper[place]:
             continue
-        starts = _starts(end, parameters)
-        starts[:, place] = value
+        starts = _starts(end, parameters, value)
         fits = fit_many(setup.everywhere, starts, fixed=(end["name"],), budget=BUDGET)
         squares = [float(np.sum(setup.problem.residuals(x.theta) ** 2)) for x in fits]
         found[where] = float(np.nanmin(squares + _walked(setup.problem, end, value)))
     return {"knee": knee, **{x: end[x] for x in KEPT_OF_ENDS}, **found}
 
 
-def _starts(end: Mapping[str, Any], parameters: Any) -> Array:
+def _starts(end: Mapping[str, Any], parameters: Any, value: float) -> Array:
+    """The curve at a value, its points nearest to the end, and points around the optimum."""
     near, optimum = np.array(end["near"]), np.array(end["optimum"])
+    place = parameters.index(end["name"])
+    first, last = near[np.argsort(np.abs(near[:, place] - value))[:2]]
+    step = (value - first[place]) / (last[place] - first[place])
+    along = np.clip(first + step * (last - first), parameters.lower, parameters.upper)
     others = sobol_around(parameters, optimum, N_STARTS - len(near), reach=REACH, seed=0)
-    return np.vstack([near, others])
+    starts = np.vstack([along, near, others])
+    starts[:, place] = value
+    return starts
 
 
 def _walked(problem: Problem, end: Mapping[str, Any], value: float) -> list[float]:
     """Deviances where walks from the points nearest to an end come to a value.
 
-    Set to the value at once, such a point may lose a trial, and no fit from it gets it back.
+    Set to the value at once, such a point may lose a trial, and a fit from it never get it back.
     """
     quantity = ParameterQuantity(parameters=problem.parameters, name=end["name"])
     walks = [
