@@ -15,7 +15,7 @@ The deviance ``D(theta) = |r(theta)|^2`` is minimised over ``lower <= theta <= u
 4. Acceptance: by actual over predicted reduction, which also sets the radius (chapter 4 of [1]_).
 5. Nonsmooth steps: where the derivatives of r jump, d minimises the highest of the linear models
    of both sides, ``min_d max_k |J_k d + r_k|^2``, by its dual over weights of the models [2]_
-   (`KinkModels`).
+   (`KinkModels`). Before such a search ends, a short step by the own model confirms the kink.
 6. Stopping: at a minimum no step within the bounds predicts a reduction above the tolerance, on
    target; at a cliff every such step within the trust region has no prediction; else the search
    ends as a valley.
@@ -476,6 +476,8 @@ SHORTER, LONGER = 0.25, 2.0
 HALF = 0.5
 # Duality gap allowed to a step across kinks, in tolerances.
 GAP = 0.2
+# Length of the step by which a kink is confirmed, in lengths of the own model's step.
+SHORT = 0.1
 # Radius of the trust region at which a search gives up, in conditional standard deviations.
 SHORTEST = 1e-7
 # Penalty parameter of a missed target, in multiples of the constraint's multiplier.
@@ -672,8 +674,12 @@ class _Search:
         for _ in range(most_steps):
             if self._is_enough(point.evaluation):
                 return self._result(point, None, Outcome.VALLEY, before)
-            plan = self._plan(point)
+            plan = self._plan(point, self._radius, by_models=self._kinks)
             if self._is_converged_step(plan, point):
+                beyond = self._beyond_false_kink(point)
+                if beyond is not None:
+                    point = beyond
+                    continue
                 met_cliff = plan.is_boxed and self._met_cliff
                 outcome = Outcome.CLIFF if met_cliff else Outcome.MINIMUM
                 return self._result(point, plan, outcome, before)
@@ -693,12 +699,38 @@ class _Search:
         value, gradient = self._quantity.evaluate(theta)
         return _Point(evaluation=evaluation, value=value, gradient=gradient)
 
-    def _plan(self, point: _Point) -> _PlannedStep:
+    def _beyond_false_kink(self, point: _Point) -> _Point | None:
+        """The end of a short step by the point's own model, where that achieves what it predicts.
+
+        At a kink it does not. It does where the model of a point farther away only happened to be
+        as high as the deviance: remembered points are then forgotten.
+        """
+        if not self._kinks.has_kinks:
+            return None
+        whole = self._plan(point, self._radius)
+        plan = self._plan(point, SHORT * whole.length)
+        if plan.reduction <= self._negligible(point):
+            return None
+        try:
+            new = self._point(plan.theta)
+        except SearchEnded:
+            return None
+        if not new.is_finite or jump(point.evaluation, new.evaluation) > 0.0:
+            return None
+        if self._merit(point) - self._merit(new) < GOOD * plan.reduction:
+            return None
+        self._kinks = KinkModels()
+        return new
+
+    def _plan(
+        self, point: _Point, radius: float, *, by_models: KinkModels | None = None
+    ) -> _PlannedStep:
+        """The step to try next: by the point's own model, or also by those beyond kinks."""
         at = point.evaluation
         scales = conditional_sds(at.jacobian, self._evaluator.parameters)
         matrix, data = self._model(at, scales)
         low, high = (self._lower - at.theta) / scales, (self._upper - at.theta) / scales
-        box = np.maximum(low, -self._radius), np.minimum(high, self._radius)
+        box = np.maximum(low, -radius), np.minimum(high, radius)
         constraint, gap, remaining = None, 0.0, 0.0
         if point.gradient is not None:
             normal = point.gradient * scales
@@ -710,10 +742,10 @@ class _Search:
             remaining = abs(wanted - reachable)
         step = bounded_step(matrix, data, box, constraint)
         reduction = linear_reduction = _predicted_reduction(matrix, data, step)
-        if self._kinks.has_kinks:
+        if by_models is not None and by_models.has_kinks:
             whole = bounded_step(matrix, data, (low, high), constraint)
             length = float(np.max(np.abs(whole.step), initial=0.0))
-            models = self._kinks.models(at, scales, length=length, slack=self._tolerance)
+            models = by_models.models(at, scales, length=length, slack=self._tolerance)
             if len(models) > 1:
                 step, height = minimise_max_model(models, box, constraint, GAP * self._tolerance)
                 reduction = linear_reduction = at.deviance - height
@@ -735,7 +767,7 @@ class _Search:
             linear_reduction=linear_reduction,
             gap=gap,
             remaining=remaining,
-            is_boxed=length >= self._radius,
+            is_boxed=length >= radius,
         )
 
     def _negligible(self, point: _Point) -> float:

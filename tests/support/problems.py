@@ -232,4 +232,27 @@ def kinked() -> ClosedForm:
     )
 
 
+def many_kinks(seed: int) -> ClosedForm:
+    """Three distances and four residuals that bend at a plane each, upward or downward."""
+    generator = np.random.default_rng(seed)
+    normals = generator.standard_normal((4, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    places, shares = generator.uniform(-1.0, 1.0, 4), generator.uniform(-0.3, 0.3, 4)
+    away = generator.uniform(-0.5, 0.5, 3)
+
+    def jacobian(x: Array) -> Array:
+        sides = np.sign(normals @ x - places)
+        return np.vstack([np.eye(3), (shares * sides)[:, None] * normals])
+
+    return ClosedForm(
+        name=f"many kinks {seed}",
+        parameters=plain_parameters(3),
+        start=generator.uniform(-2.0, 2.0, 3),
+        minimum=np.full(3, np.nan),
+        lowest=np.nan,
+        residuals_at=lambda x: np.append(x - away, 5.0 + shares * abs(normals @ x - places)),
+        jacobian_at=jacobian,
+    )
+
+
 EASY = (linear(), rosenbrock(), active_bounds(), sloppy_springs())

@@ -10,6 +10,7 @@ from problems import (
     active_bounds,
     kinked,
     linear,
+    many_kinks,
     plain_parameters,
     rosenbrock,
     sloppy_springs,
@@ -21,7 +22,13 @@ from identknee.calibrate.bounded_least_squares import (
     solve_constrained,
     walk_to_constraint,
 )
-from identknee.calibrate.problem import Evaluation, Evaluator, ParameterQuantity, UserQuantity
+from identknee.calibrate.problem import (
+    Evaluation,
+    Evaluator,
+    ParameterQuantity,
+    UserQuantity,
+    evaluate,
+)
 from identknee.runs.record import Outcome
 
 # The deviance may be off by its tolerance of 1e-8; a difference over 1e-3 by 1e-5 of that.
@@ -157,11 +164,24 @@ def test_a_good_start_takes_few_simulations() -> None:
 
 
 def test_a_minimum_on_a_kink_takes_few_simulations() -> None:
+    """The last one confirms the kink."""
     problem = kinked()
     found = minimise(Evaluator(problem), problem.start, tolerance=1e-4)
     assert found.outcome is Outcome.MINIMUM
     assert found.evaluation.deviance == pytest.approx(2.0 * problem.lowest, abs=1e-4)
-    assert found.n_simulations <= 8
+    assert found.n_simulations <= 9
+
+
+@pytest.mark.parametrize("seed", [6, 15, 27])
+def test_a_model_from_far_away_does_not_end_a_search(seed: int) -> None:
+    """At some points such a model is as high as the deviance, and rises where that falls."""
+    problem = many_kinks(seed)
+    found = minimise(Evaluator(problem), problem.start, tolerance=1e-6)
+    assert found.outcome is Outcome.MINIMUM
+    ways = np.random.default_rng(0).standard_normal((200, 3))
+    ways *= 0.03 / np.linalg.norm(ways, axis=1)[:, None]
+    around = [evaluate(problem, found.evaluation.theta + way).deviance for way in ways]
+    assert min(around) > found.evaluation.deviance
 
 
 def test_a_search_ends_at_the_first_simulation_that_is_enough() -> None:
