@@ -50,14 +50,12 @@ SCORES, SCORE_RELATIVE = ("score",), 1e-3
 # Records older than a change of what they record. A search for an equilibrium that ends within
 # 5e-12 mm of where it ended leads searches that hang on their last bits to another end (03, 09)
 # and bootstraps of ranks to others (07). Fits of gross misfit, as with wrong insertions that are
-# not stated, find lower ends since others begin with each stiffness nearly gone (12), and a few
-# fits at kinks since these are confirmed by a step (10). They are computed again where all are,
-# and differences fail nothing. Nothing else belongs here.
+# not stated, find lower ends since others begin with each stiffness nearly gone (12). They are
+# computed again where all are, and differences fail nothing. Nothing else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
     "09_optimizers",
-    "10_diagnosis",
     "12_geometry_uncertainty",
 }
 
