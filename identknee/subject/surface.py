@@ -417,10 +417,11 @@ def read_surface(path: PathLike) -> Surface:
         )
     bad = np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))
     if len(bad) > 0:
+        have = "vertex has" if len(bad) == 1 else "vertices have"
         raise InputError(
             file,
             f"vertex {bad[0] + 1}",
-            f"{len(bad)} vertices hold a value that is not a finite number",
+            f"{len(bad)} {have} a value that is not a finite number",
             "Repair the mesh and export it again.",
         )
     try:

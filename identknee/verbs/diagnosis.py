@@ -676,6 +676,9 @@ def diagnose_data(
     if not has_priors("diagnose", priors):
         subject = with_wider_priors(subject, model.parameters, asked)
     knee, used = knee_with_equilibria(subject, laxity.without_forces(), start)
+    if has_priors("diagnose", priors) and knee.fitted is not subject.fitted:
+        known = zip(model.parameters.names_of_interest, used.start.tolist(), strict=False)
+        run.strain_priors = {name: x for name, x in known if name.endswith(STRAIN)}
     kept = _with_forces(knee, laxity, used)
     lost = excluded_trial_findings(subject, laxity, kept)
     # Stiffness there as well: the knee has its strains already, and trials may depend on both.

@@ -451,8 +451,8 @@ def fit(
         Weighting,
         option(
             "How errors are weighted. unit: in mm and deg, as in equation 6 of the paper. noise: "
-            "divided by the {sd_} columns.",
-            in_python="Always noise with {--noise}, with forces and with several experiments.",
+            "divided by the {sd_} columns. Always noise with {--noise}, and where {sd_} columns "
+            "stand beside forces, several experiments or limits of plausibility.",
         ),
     ] = "unit",
     noise: options.Noise = None,

@@ -202,8 +202,8 @@ Keep = Annotated[
 LeaveOut = Annotated[
     Sequence[str] | None,
     option(
-        "Leave this trial out. Trials that the table contradicts are left out anyway: see "
-        "{--keep}.",
+        "Leave out this trial, or all trials of this experiment. Trials that the table "
+        "contradicts are left out anyway: see {--keep}.",
         in_python="One name or a list.",
         metavar="TRIAL",
     ),
@@ -218,9 +218,9 @@ Priors = Annotated[
 Plausible = Annotated[
     PlausibleLike,
     option(
-        "Limits of what a knee does that count as evidence: default, none, or a file ending in "
-        ".toml. The default is those of the subject, or published strengths, strains and contact "
-        "balance.",
+        "Limits of plausibility that count as evidence. default: those of the subject, or "
+        "published strengths, strains and contact balance if it has none. none, or a file ending "
+        "in .toml. If not given, no limits count.",
         in_python="Or a list of `identknee.subject.Limit`.",
         metavar="default|none|FILE",
         typed=str | None,

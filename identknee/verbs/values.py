@@ -106,11 +106,7 @@ def values_of(values: ValuesLike) -> dict[str, float]:
         stated = _by_name(values or [], "--set", "ACL.stiffness_kN=9.5")
         found = {name: _number(value, f"--set {text}") for name, (value, text) in stated.items()}
     for name, value in found.items():
-        if name.endswith(STIFFNESS) and value > LARGEST_STIFFNESS_KN:
-            raise ValueError(
-                f"--set {name}={value:g}: no ligament has a stiffness of {value:g} kN per unit "
-                "strain. If this is N per unit strain, divide it by 1000"
-            )
+        _check_stiffness(f"--set {name}={value:g}", name, value)
     return found
 
 
@@ -143,7 +139,10 @@ def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
     {'ACL.stiffness_kN': (5.0, 15.0)}
     """
     if isinstance(bounds, Mapping):
-        return {name: _pair(name, given) for name, given in bounds.items()}
+        pairs = {name: _pair(name, given) for name, given in bounds.items()}
+        for name, pair in pairs.items():
+            _check_stiffness(f"bounds of {name}", name, pair[0])
+        return pairs
     found = {}
     for name, (value, text) in _by_name(bounds or [], "--bounds", "ACL.stiffness_kN=5:15").items():
         where, (low, colon, high) = f"--bounds {text}", value.partition(":")
@@ -153,7 +152,17 @@ def bounds_of(bounds: BoundsLike) -> dict[str, tuple[float, float]]:
                 f"Write LOWER:UPPER, for example --bounds {name}=5:15"
             )
         found[name] = (_number(low, where), _number(high, where))
+        _check_stiffness(where, name, found[name][0])
     return found
+
+
+def _check_stiffness(where: str, name: str, value: float) -> None:
+    """Refuse a stiffness, or a lower bound of one, that is most likely in N per unit strain."""
+    if name.endswith(STIFFNESS) and value > LARGEST_STIFFNESS_KN:
+        raise ValueError(
+            f"{where}: no ligament has a stiffness of {value:g} kN per unit strain. If this is N "
+            "per unit strain, divide it by 1000"
+        )
 
 
 def _pair(name: str, given: object) -> tuple[float, float]:

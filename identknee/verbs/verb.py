@@ -344,12 +344,16 @@ class Run:
         All that the results depend on.
     trials
         The trials of the data that are asked about; None for a verb without data.
+    strain_priors
+        Reference strains on which priors are centred, by parameter [%]; None where they are the
+        subject's.
     """
 
     workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
     trials: TrialsAsked | None = None
+    strain_priors: Mapping[str, float] | None = None
     _stack: ExitStack
     _executor: Executor | None = None
     _store: Store | None = None
@@ -462,6 +466,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
             if run.trials is not None:
                 asked = question(recording.verb, read["subject"], run.trials, bound.arguments)
                 findings = _with_those_of_data(result.findings, run.trials.findings)
+                asked = replace(asked, strain_priors=run.strain_priors)
                 result = replace(result, question=asked, findings=findings)
             if warned := _subject_warnings(bound.arguments, read):
                 result = replace(result, findings=without_repeats((*result.findings, *warned)))

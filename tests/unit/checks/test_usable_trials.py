@@ -17,6 +17,7 @@ from identknee.model.mechanics_inputs import strains_as_measured
 from identknee.runs.findings import Severity
 from identknee.subject.folder import read_subject, write_subject
 from identknee.subject.knee import Knee, Uncertainty
+from identknee.verbs.answer import IN_WORDS
 
 pytestmark = pytest.mark.usefixtures("few_starts")
 
@@ -138,6 +139,14 @@ def test_a_diagnosis_begins_there_too() -> None:
     effects = [effect_named(slack(), "flexion_offset")]
     found = ik.diagnose(slack(), laxity, noise="0.3mm,0.3deg", effects=effects)
     assert found.verdict is Verdict.ADEQUATE
+    # Its priors are centred elsewhere than those of other verbs, which the question tells.
+    assert found.question is not None
+    assert found.question.strain_priors is not None
+    assert all(x > -20.0 for x in found.question.strain_priors.values())
+    fitted = ik.fit(slack(), laxity, noise="0.3mm,0.3deg", priors=True)
+    assert fitted.question is not None
+    words = IN_WORDS["strain_priors"]
+    assert words in found.question.differences(fitted.question)
     assert "reference strains" in found.assumptions[-1]
     assert "trials-lost" in {x.code for x in found.findings}
 

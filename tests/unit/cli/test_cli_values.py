@@ -1,5 +1,7 @@
 """Numbers with names and units as they are typed."""
 
+from typing import Any
+
 import pytest
 
 from identknee.laxity.noise import noise_sizes
@@ -73,3 +75,11 @@ def test_a_stiffness_in_newtons_is_refused() -> None:
     with pytest.raises(ValueError, match=r"ACL\.stiffness_kN.*by 1000"):
         values_of(["ACL.stiffness_kN=9500"])
     assert values_of({"ACL.stiffness_kN": 9.5}) == {"ACL.stiffness_kN": 9.5}
+
+
+@pytest.mark.parametrize(
+    "bounds", [["ACL.stiffness_kN=5e3:15e3"], {"ACL.stiffness_kN": (5e3, 15e3)}]
+)
+def test_a_lower_bound_in_newtons_is_refused(bounds: Any) -> None:
+    with pytest.raises(ValueError, match=r"5000 kN .* divide it by 1000"):
+        bounds_of(bounds)
