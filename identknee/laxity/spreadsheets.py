@@ -80,6 +80,13 @@ _WITH_UNIT = re.compile(r"[+-]?[0-9.]+\s*(mm|deg|°|º|N|Nm|N·m|degrees)")
 # Days since 1900, as a spreadsheet counts the dates of today.
 DAYS = (30_000, 60_000)
 A_DATE = "A spreadsheet may have made a date of it: enter it again, in a cell of numbers."
+A_GAP = "If it stands for a missing value, leave the cell blank."
+
+
+def is_code(value: float) -> bool:
+    """Whether a value may stand for a missing one, such as -999."""
+    digits = f"{abs(value):g}"
+    return len(digits) > 1 and set(digits) == {"9"}
 
 
 def opened_text(path: Path) -> TextIO:

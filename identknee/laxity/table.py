@@ -41,7 +41,7 @@ from identknee.laxity.protocol import (
     unloaded_trials,
     zero_fault,
 )
-from identknee.laxity.spreadsheets import A_DATE, is_day, is_in_radians
+from identknee.laxity.spreadsheets import A_DATE, A_GAP, is_code, is_day, is_in_radians
 from identknee.laxity.table_file import (
     STATEMENT,
     SUFFIXES,
@@ -682,10 +682,10 @@ def _coordinate_fault(column: str, value: float) -> tuple[str, str] | None:
     """Why no knee has this coordinate, and the remedy; None if one may."""
     if column.endswith("_deg"):
         remedy = "Give angles in degrees, 0 where the axes of both bones agree."
-        remedy = A_DATE if is_day(value) else remedy
+        remedy = A_DATE if is_day(value) else A_GAP if is_code(value) else remedy
         return beyond("an angle", value, ANGLE_LIMIT_DEG, "deg", remedy)
     remedy = "Give lengths in mm, from the femoral to the tibial origin."
-    remedy = A_DATE if is_day(value) else remedy
+    remedy = A_DATE if is_day(value) else A_GAP if is_code(value) else remedy
     return beyond("a translation", value, LENGTH_LIMIT_MM, "mm", remedy)
 
 

@@ -157,8 +157,10 @@ POINT_TO_POINT = "PointToPoint"
 LEAST_STIFFNESS, SHORTEST = 0.5, 0.5
 TRANSITION_STRAIN = 0.06
 # Beginnings of the names of bundles that make one line of each ligament. The first that occurs is
-# taken, so that the deep and posterior bundles of the medial collateral stay out of its line.
+# taken, so that the deep and posterior bundles of the medial collateral stay out of its line. All
+# bundles of the others belong to theirs, and the name may begin with the bundle, as in aACL.
 MERGED = {"ACL": ("ACL",), "PCL": ("PCL",), "LCL": ("LCL",), "MCL": ("MCLs", "sMCL", "MCL")}
+WHOLE = ("ACL", "PCL", "LCL")
 
 
 Change = Literal["left out", "changed"]
@@ -377,7 +379,8 @@ def straightened(ligament: Ligament) -> Ligament:
 
 
 def _begins(name: str, beginning: str) -> bool:
-    return name.lower().startswith(beginning.lower())
+    place = name.lower().find(beginning.lower())
+    return place == 0 or (place > 0 and beginning in WHOLE)
 
 
 def line_for(name: str, bundle: Sequence[Ligament]) -> Ligament:

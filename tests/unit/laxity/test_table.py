@@ -124,6 +124,13 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
             ),
         ),
         (
+            "a,30,5,-999,1",
+            (
+                ", row 2, column varus_deg: an angle of -999 deg is beyond 180 deg either way. "
+                "If it stands for a missing value, leave the cell blank."
+            ),
+        ),
+        (
             "a,30,5,1e999,1",
             (
                 ", row 2, column varus_deg: 1e999 is too large to be a number here. "

@@ -1,5 +1,6 @@
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.opensim import import_opensim, straightened
+from identknee.subject.opensim import bundle_names, import_opensim, straightened
 from identknee.subject.reference import reference_knee
 
 SINGLE = 1e-4  # mm; meshes have single precision
@@ -214,3 +215,16 @@ def test_the_four_lines_of_lenhart2015() -> None:
         assert len(found.faces) == len(known_surface.faces)
         distance = cKDTree(found.vertices).query(known_surface.vertices)[0]
         assert distance.max() < SINGLE
+
+
+def test_a_bundle_may_be_named_before_its_ligament() -> None:
+    knee = import_opensim("lenhart2015")
+    other = {"ACLam": "aACL", "ACLpl": "pACL", "MCLs": "sMCL", "MCLd": "dMCL"}
+    renamed = []
+    for x in knee.ligaments:
+        begins = next((y for y in other if x.name.startswith(y)), "")
+        renamed.append(replace(x, name=other[begins] + x.name[len(begins) :]) if begins else x)
+    for name in ("ACL", "PCL", "LCL", "MCL"):
+        expected = [x.stiffness_kN for x in bundle_names(name, knee.ligaments)]
+        assert len(expected) > 1
+        assert [x.stiffness_kN for x in bundle_names(name, renamed)] == expected
