@@ -49,10 +49,10 @@ WORK_RELATIVE, WORK_ABSOLUTE = 0.05, 2
 SCORES, SCORE_RELATIVE = ("score",), 1e-3
 # Records older than a change of what they record, or of searches that hang on the last bits of an
 # equilibrium, and so on the processor. One that ends within 5e-12 mm of where it ended leads such
-# searches to another end (03, and genetic and swarm searches of 09) and bootstraps of ranks to
-# others (07). Fits of gross misfit, as with wrong insertions that are not stated, find lower ends
-# since others begin with each stiffness nearly gone (12). They are computed again where all are,
-# and differences fail nothing. Nothing else belongs here.
+# searches to another end (03, 09) and bootstraps of ranks to others (07). Fits of gross misfit, as
+# with wrong insertions that are not stated, find lower ends since others begin with each stiffness
+# nearly gone (12). They are computed again where all are, and differences fail nothing. Nothing
+# else belongs here.
 SUPERSEDED = {
     "03_basin_of_attraction",
     "07_global_sensitivity",
