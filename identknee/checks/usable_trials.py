@@ -80,11 +80,14 @@ class TrialSelection:
         trials of `laxity` have an equilibrium there.
     sentences
         Report of what was done.
+    is_moved
+        Whether trials had no equilibrium where the fit was to begin.
     """
 
     laxity: Laxity
     start: Array
     sentences: tuple[str, ...] = ()
+    is_moved: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -171,7 +174,9 @@ class TrialSearch:
             "measured poses by a spring until they had an equilibrium without it "
             f"({sum(x.n_simulations for x in made.values())} simulations)."
         )
-        return TrialSelection(laxity=laxity, start=theta, sentences=(*said, sentence))
+        return TrialSelection(
+            laxity=laxity, start=theta, sentences=(*said, sentence), is_moved=True
+        )
 
     def fitted(self, start: Array, search: Callable[..., Fit]) -> tuple[TrialSelection, Fit]:
         """The trials used, and the fit to them by `search`."""
@@ -396,29 +401,20 @@ def table_model(
 def knee_with_equilibria(
     knee: Knee, laxity: Laxity, start: StartLike
 ) -> tuple[Knee, TrialSelection]:
-    """The knee with strains at which trials have an equilibrium, and these trials.
+    """The knee, fitted where trials have an equilibrium, and these trials.
 
-    Reference strains at which trials have no equilibrium are no prior knowledge. If a fit has to
-    begin elsewhere, the knee takes the strains of that start, and the nuisances their values there.
+    Only the start moves: priors stay centred on the values that the subject came with, as in every
+    verb.
     """
     model, said = table_model(knee, laxity)
-    knee = model.knee
     trials = TrialSearch(model=model, laxity=laxity, weighting="unit", bounds={})
     begun = load_start(start, model.parameters)
     used = trials.used(begun)
-    if used.start is begun:
-        return knee, replace(used, sentences=(*said, *used.sentences))
-    u, parameters = model.tied.n, model.parameters
-    strains = model.tied.strain(used.start[u : 2 * u]).tolist()
-    ligaments = tuple(
-        replace(x, reference_strain_pct=strain)
-        for x, strain in zip(knee.ligaments, strains, strict=True)
-    )
-    centred = "Priors of the reference strains are centred there."
-    errors = zip(parameters.names[2 * u :], used.start[2 * u :].tolist(), strict=True)
-    return replace(knee, ligaments=ligaments, fitted=dict(errors)), replace(
-        used, sentences=(*said, *used.sentences, centred)
-    )
+    knee = model.knee
+    if not np.array_equal(used.start, model.parameters.start):
+        at = dict(zip(model.parameters.names, used.start.tolist(), strict=True))
+        knee = replace(knee, fitted=at)
+    return knee, replace(used, sentences=(*said, *used.sentences))
 
 
 def trial_names(laxity: Laxity) -> tuple[str, ...]:

@@ -1,5 +1,5 @@
+from .base_fit import fit_base as fit_base
 from .fitting import Refit as Refit
-from .fitting import fit_base as fit_base
 from .gain import CrossValidation as CrossValidation
 from .gain import Fold as Fold
 from .gain import elpd_difference as elpd_difference

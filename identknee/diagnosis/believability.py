@@ -31,8 +31,9 @@ from identknee.calibrate.problem import (
 )
 from identknee.checks.limit_price import limits_of
 from identknee.checks.usable_trials import defined_everywhere
+from identknee.diagnosis.base_fit import BRIEF
 from identknee.diagnosis.candidates import Variant, secant_amplitudes
-from identknee.diagnosis.fitting import BRIEF, FittedModel, descended, whitened_problem
+from identknee.diagnosis.fitting import FittedModel, descended, whitened_problem
 from identknee.diagnosis.investigation import Investigation
 from identknee.identify.laplace import log_evidence
 from identknee.identify.optimum import REACH, best_fits, sobol_around

@@ -1,6 +1,6 @@
 """Fits of a laxity model to data, without and with causes, as diagnosis compares them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property, lru_cache
@@ -10,28 +10,24 @@ from scipy.special import chdtrc
 from typing_extensions import override
 
 from identknee.calibrate.bounded_least_squares import ConstrainedFit, minimise
-from identknee.calibrate.fit import Fit, fit
 from identknee.calibrate.problem import (
     TABLE_TERM,
     Evaluation,
     Evaluator,
     EvidenceTerm,
-    Problem,
     ProblemAround,
     ProblemWithPriors,
     SumOfTerms,
     evidence_terms,
-    with_all_priors,
 )
-from identknee.checks.data_noise import DataNoise, noise_of
+from identknee.checks.data_noise import DataNoise
 from identknee.checks.fit_checks import (
     BEYOND_PRIOR,
     ComparedForces,
     compared_forces,
-    ligament_loads,
     nuisance_findings,
 )
-from identknee.checks.usable_trials import defined_everywhere, force_terms
+from identknee.checks.usable_trials import force_terms
 from identknee.diagnosis.force_rows import ForceRows
 from identknee.diagnosis.misfit import (
     Projector,
@@ -47,50 +43,30 @@ from identknee.diagnosis.noise_model import NoiseModel, build_noise_model
 from identknee.diagnosis.score import LEAST_DISTANCE, CandidateScore, Scores
 from identknee.identify.laplace import Laplace, laplace, log_evidence
 from identknee.identify.optimum import (
-    NEARLY_GONE,
     NuisanceEstimate,
     NuisanceGroup,
-    best_fits,
-    nearly_gone,
     nuisance_estimates,
     nuisance_groups,
-    sobol_around,
-    with_hops,
 )
 from identknee.laxity.protocol import Protocol
 from identknee.laxity.table import Laxity
 from identknee.model.effects.effect import Effect, is_error_of_rig
 from identknee.model.effects.facts import cause_label
-from identknee.model.effects.library import knee_with_effects, values_by_owner, values_of
+from identknee.model.effects.library import knee_with_effects, values_by_owner
 from identknee.model.effects.tissues import CONTACT_LAW, contact_nuisance
 from identknee.model.laxity_model import LaxityModel
 from identknee.model.missing_wrench import wrench_response
-from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals, nuisance_changes
 from identknee.runs.declare import Array, BoolArray, declared, entry, short_repr
 from identknee.runs.findings import Finding
 from identknee.runs.record import Outcome
-from identknee.subject.knee import Knee, StatedPrior
+from identknee.subject.knee import Knee
 
-N_STARTS = 3
-# Prior standard deviations within which the other starts lie.
-REACH = 1.0
 # Tolerance on the deviance; later statistics are accurate to a thousandth of a unit at best.
 TOLERANCE = 1e-4
 MOST_STEPS = 40
 # Gauss-Newton steps before curvature is learned. Learned sooner, it leads to other minima.
 STRAIGHT_STEPS = 12
-# A prior that was not asked for is so many times as wide, and one of a ligament that carries
-# nothing: ten times as wide, the prior of its stiffness still held a torn one at 4e-4 kN, where it
-# moved the knee by 1.4 sd of the noise.
-WIDER, WIDER_IF_IDLE = 10.0, 1000.0
-# How often a search without the prior of an idle ligament continues after its last step.
-MOST_ROUNDS = 3
-# A fit less probable than REJECTED that is not at a minimum is searched for again: BRIEF is the
-# simulations of a search, N_POLISHED the number of its lowest ends that are polished.
-REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
-# A torn ligament explains a misfit that noise alone then makes in one of twenty tables or more.
-EXPLAINED = 0.05
 # Share of the largest load of the data below which a knee seldom jumps.
 LOW_LOADS = 0.5
 
@@ -379,54 +355,6 @@ def descended(
     return replace(then, n_simulations=first.n_simulations + then.n_simulations)
 
 
-def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
-    """The base model's fit, its noise found on the way; None where the noise cannot be known.
-
-    The base model is the subject's knee with the contact law as a nuisance: how stiff cartilage is
-    and how its pressure grows is never known well, and must not pass for another cause.
-
-    Parameters
-    ----------
-    knee, laxity
-        The subject and the data.
-    starts
-        Ligament parameters to begin at besides the subject's own and Sobol points around those,
-        each shape ``(2m,)``.
-    seed
-        Seed of those points.
-    """
-    model = base_model(knee, laxity.protocol).with_tests(laxity)
-    n = model.n_ligament_parameters
-    own = model.parameters.center[:n]
-    stored = model.parameters.vector(values_of(knee))[n:]
-    # Points within a prior standard deviation of the subject's values.
-    ligaments = model.parameters.select(model.parameters.names[:n])
-    around = sobol_around(ligaments, own, N_STARTS, reach=REACH, seed=seed)
-    begin = [np.r_[x, stored] for x in (own, *starts, *around)]
-    stated = noise_of(laxity, laxity.coordinates)
-    if stated is None:
-        return None
-    plain = build_noise_model(stated.sd, laxity.is_measured, correlation=stated.correlation)
-    begin.append(fit_low_loads(model, laxity, plain, begin[0]))
-    fitted = best_fit_from(model, laxity, plain, begin)
-    if fitted.outcome is not Outcome.MINIMUM:
-        # From the subject's own stiffness no search finds its way across cliffs to a torn ligament.
-        torn = best_fit_from(model, laxity, plain, [*nearly_gone(model.parameters, begin[0])])
-        fitted = min(fitted, torn, key=lambda x: x.evaluation.deviance)
-    if not fitted.evaluation.is_finite:
-        return BaseFit(fitted=fitted, noise=stated)
-    return _with_its_noise(fitted, stated)
-
-
-def _with_its_noise(fitted: FittedModel, known: DataNoise) -> "BaseFit":
-    """A fit repeated with the noise that its own residuals show; `known` if they show none.
-
-    The residuals of a worse fit are rough where trials jump, which would count as noise.
-    """
-    noise = noise_of(fitted.laxity, fitted.compared.differences(fitted.theta)) or known
-    return BaseFit(fitted=fitted_with_nuisances(fitted, noise.sd, noise.correlation), noise=noise)
-
-
 def fitted_with_nuisances(fitted: FittedModel, sd: Array, correlation: float) -> FittedModel:
     """A fit repeated from where it ended, with misfit that is not to be named among the errors."""
     changes, spreads = nuisance_changes(fitted.model, fitted.theta)
@@ -467,145 +395,6 @@ class BaseFit:
 
     fitted: FittedModel = entry("The fit, nuisances among its errors")
     noise: DataNoise = entry("Errors of the data without nuisances")
-
-
-def with_wider_priors(
-    knee: Knee, parameters: Parameters, names: Iterable[str], wider: float = WIDER
-) -> Knee:
-    """The knee with the priors of the parameters named so wide that they say next to nothing."""
-    priors = dict(knee.priors)
-    for i in map(parameters.index, names):
-        what = "log_sd" if parameters.is_log[i] else "sd"
-        spread, center = wider * float(parameters.prior_sd[i]), float(parameters.center[i])
-        priors[parameters.names[i]] = StatedPrior(**{what: spread, "center": center})
-    return replace(knee, priors=priors)
-
-
-def lowest_fit(base: BaseFit, seed: int) -> BaseFit:
-    """The fit from which causes are looked for, searched for further where it left much misfit.
-
-    Parameters
-    ----------
-    base
-        The fit of the base model.
-    seed
-        Seed of the points where further searches begin.
-    """
-    found = base
-    if without_causes(base).misfit_p_value < REJECTED:
-        problem = _problem_past_lost_trials(base)
-        if problem is not None:
-            ends = best_fits(problem, start=base.fitted.theta, seed=seed, budget=BRIEF, hops=False)
-            found = _polished(base, ends)
-            # What a torn ligament explains by itself needs no further search.
-            freed = without_idle_priors(found)
-            if freed is not found and _is_explained(freed):
-                return past_lost_trials(freed, seed)
-            found = _polished(base, with_hops(problem, ends, seed=seed, budget=BRIEF))
-    freed = without_idle_priors(found)
-    return found if freed is found else past_lost_trials(freed, seed)
-
-
-def _is_explained(base: BaseFit) -> bool:
-    return without_causes(base).misfit_p_value > EXPLAINED
-
-
-def without_idle_priors(base: BaseFit) -> BaseFit:
-    """A fit in which the prior of a ligament that carries nothing pulls at it no longer.
-
-    What its prior says of it is not true of this knee: a torn ligament has no stiffness, and how
-    long a slack one is, no data show. Where its prior still pulled, it would carry a little that
-    another effect could take away, and every effect that gives it a load would gain evidence.
-    """
-    fitted = base.fitted
-    refuted = set(np.array(fitted.model.tied.names)[fitted.is_refuted].tolist())
-    if idle := refuted & _idle(fitted):
-        return _without_priors(base, sorted(idle))
-    if not refuted or without_causes(base).misfit_p_value >= REJECTED:
-        return base
-    # A prior can hold what is torn at a load that the data reject: without it, it may carry none.
-    found = _without_priors(base, sorted(refuted))
-    idle = refuted & _idle(found.fitted)
-    if not idle:
-        return base
-    if idle < refuted:
-        found = _without_priors(base, sorted(idle))
-    # Only where that explains the misfit: another cause may look like a torn ligament.
-    is_explained = without_causes(found).misfit_p_value > EXPLAINED
-    return found if is_explained and idle <= _idle(found.fitted) else base
-
-
-def _idle(fitted: FittedModel) -> set[str]:
-    """Names of the ligaments that carry nothing in a fit."""
-    model = fitted.model
-    return {x.name for x in ligament_loads(model, model.predict_once(fitted.theta)) if x.is_idle}
-
-
-def _without_priors(base: BaseFit, idle: Sequence[str]) -> BaseFit:
-    """The fit without the priors of some ligaments, begun also where they are absent."""
-    fitted, model = base.fitted, base.fitted.model
-    p, gone, absent = model.parameters, np.array(fitted.theta), np.array(fitted.theta)
-    for owner in idle:
-        stiffness, strain = (p.index(f"{owner}.{x}") for x in (STIFFNESS, STRAIN))
-        gone[stiffness], gone[strain] = NEARLY_GONE * p.center[stiffness], p.center[strain]
-        absent[stiffness] *= NEARLY_GONE
-    names = [f"{owner}.{x}" for owner in idle for x in (STIFFNESS, STRAIN)]
-    knee = with_wider_priors(model.knee, p, names, WIDER_IF_IDLE)
-    free = base_model(knee, fitted.laxity.protocol)
-    starts = [fitted.theta, gone, absent]
-    measured = free.with_tests(fitted.laxity)
-    found = best_fit_from(measured, fitted.laxity, fitted.noise, starts)
-    # A knee without a ligament is so compliant that steps along the valley are short.
-    for _ in range(MOST_ROUNDS):
-        if found.outcome is not Outcome.VALLEY:
-            break
-        found = best_fit_from(measured, fitted.laxity, fitted.noise, [found.theta])
-    return _with_its_noise(found, base.noise) if found.evaluation.is_finite else base
-
-
-def past_lost_trials(base: BaseFit, seed: int) -> BaseFit:
-    """A fit, or a lower one that lies beyond parameters with which trials have no equilibrium.
-
-    A knee without a ligament bears few of the loads that it was measured under unless all other
-    parameters are nearly right, and no search that needs every trial finds its way there. That of
-    `fit` does: a lost trial is held near its measured pose.
-
-    Parameters
-    ----------
-    base
-        The fit. One that ended at its minimum is returned.
-    seed
-        Seed of the points where searches begin.
-    """
-    problem = _problem_past_lost_trials(base)
-    if problem is None:
-        return base
-    start = base.fitted.theta
-    if _is_explained(base):
-        # Where noise explains what is left, the minimum is near.
-        found = _polished(base, [fit(problem, start, seed=seed)])
-        if found.fitted.outcome is Outcome.MINIMUM:
-            return found
-    return _polished(base, best_fits(problem, start=start, seed=seed, budget=BRIEF))
-
-
-def _problem_past_lost_trials(base: BaseFit) -> Problem | None:
-    """The problem of a fit, defined also where trials are lost; None for a fit at its minimum."""
-    fitted = base.fitted
-    if fitted.outcome is Outcome.MINIMUM or fitted.laxity.zero != "absolute":
-        return None
-    known = replace(
-        fitted.laxity, sd=base.noise.sd, within_trial_correlation=base.noise.correlation
-    )
-    compared = LaxityResiduals(model=fitted.model, laxity=known, weighting="noise")
-    return with_all_priors(defined_everywhere(compared))
-
-
-def _polished(base: BaseFit, ends: Sequence[Fit]) -> BaseFit:
-    """The lowest of the first ends, without lost trials, where it is lower than the fit."""
-    fitted, starts = base.fitted, [x.theta for x in ends[:N_POLISHED]]
-    found = best_fit_from(fitted.model, fitted.laxity, fitted.noise, starts)
-    return _with_its_noise(found, base.noise) if found.deviance < fitted.deviance else base
 
 
 def fit_low_loads(model: LaxityModel, laxity: Laxity, noise: NoiseModel, start: Array) -> Array:

@@ -16,13 +16,12 @@ from identknee.checks.fit_checks import (
 from identknee.checks.subject_checks import stability_findings
 from identknee.checks.usable_trials import needs_weights
 from identknee.diagnosis.advice import AdvisedProtocol, advise
+from identknee.diagnosis.base_fit import FURTHER, FurtherSearch, fit_base, lowest_fit
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.fitting import (
     BaseFit,
     Refit,
     best_fit_from,
-    fit_base,
-    lowest_fit,
     without_causes,
 )
 from identknee.diagnosis.gain import Gain, measure_gain
@@ -229,6 +228,7 @@ def investigate(
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
     executor: Executor = serial,
+    search: FurtherSearch = FURTHER,
 ) -> Investigation | None:
     """What the data say against the model of a knee; None where they cannot be tested.
 
@@ -245,6 +245,8 @@ def investigate(
         Seed of the distributions under no effect.
     executor
         Who refits causes.
+    search
+        How the fit of the base model is searched for beyond its first minimum.
 
     Raises
     ------
@@ -268,11 +270,12 @@ def investigate(
             base_fit = fit_base(knee, laxity, starts=begin, seed=seed) or base_fit
         if base_fit.fitted.misfit_projector.degrees_of_freedom == 0:
             return None
-        base_fit = lowest_fit(base_fit, seed)
+        base_fit = lowest_fit(base_fit, seed, search)
     attribution, p_value = _explained(base_fit, effects, seed, executor)
     if (start := better_start(attribution)) is not None:
         again = fit_base(knee, laxity, starts=[*begin, start], seed=seed)
-        base_fit = base_fit if again is None else lowest_fit(again, seed)
+        near = replace(search, from_poses=False)
+        base_fit = base_fit if again is None else lowest_fit(again, seed, near)
         attribution, p_value = _explained(base_fit, effects, seed, executor)
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)

@@ -38,7 +38,7 @@ IN_WORDS = {
     "uncertainty": "uncertainty of knee and tests",
     "plausibility": "limits of plausibility",
     "discrepancy": "error of the model that is marginalised",
-    "strain_priors": "reference strains on which priors are centred",
+    "priors_set_aside": "priors that do not count, as the data contradict them",
 }
 
 
@@ -68,11 +68,8 @@ class Question:
         "Scales of the prior of a smooth error of the model [mm, deg]; null where it has none",
         default=None,
     )
-    strain_priors: Mapping[str, float] | None = entry(
-        "Reference strains on which priors are centred, by parameter; null where they are the "
-        "subject's",
-        unit="%",
-        default=None,
+    priors_set_aside: tuple[str, ...] = entry(
+        "Parameters whose priors do not count, as the data contradict them", default=()
     )
 
     def differences(self, other: "Question") -> tuple[str, ...]:
@@ -90,7 +87,6 @@ class Question:
         mm, deg = ("not stated" if x is None else f"{x:.3g} {unit}" for x, unit in sizes)
         bounds = [f"{name} {low:g} to {high:g}" for name, (low, high) in self.bounds.items()]
         uncertain = [f"{name} {x}" for name, x in self.uncertainty.items() if x != "exact"]
-        centred = [f"{name} {x:.3g}" for name, x in (self.strain_priors or {}).items()]
         left = len(self.left_out_by_name) + len(self.contradicted)
         return {
             IN_WORDS["trials"]: f"{len(self.trials)}{f', {left} left out' if left else ''}",
@@ -102,7 +98,7 @@ class Question:
             IN_WORDS["bounds"]: ", ".join(bounds) or "as usual",
             IN_WORDS["uncertainty"]: ", ".join(uncertain) or "none",
             IN_WORDS["plausibility"]: ", ".join(self.plausibility) or "none",
-            IN_WORDS["strain_priors"]: ", ".join(centred) or "the subject's",
+            IN_WORDS["priors_set_aside"]: ", ".join(self.priors_set_aside) or "none",
         }
 
 

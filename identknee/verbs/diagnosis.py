@@ -29,9 +29,10 @@ from identknee.checks.usable_trials import (
     knee_with_equilibria,
 )
 from identknee.diagnosis.advice import Advice
+from identknee.diagnosis.base_fit import FURTHER, FurtherSearch, priors_set_aside, with_wider_priors
 from identknee.diagnosis.believability import CauseUnderLimits, causes_under_limits
 from identknee.diagnosis.candidates import Exclusion
-from identknee.diagnosis.fitting import Refit, Rival, RivalState, with_wider_priors
+from identknee.diagnosis.fitting import Refit, Rival, RivalState
 from identknee.diagnosis.gain import (
     Assessment,
     ElpdDifference,
@@ -641,6 +642,10 @@ def advice_findings(found: Investigation) -> tuple[Finding, ...]:
     return (finding("no-trial-advised", "trials", values, sentence=sentence),)
 
 
+SET_ASIDE = (
+    "Priors of the reference strains do not count: the data contradict them, and without them "
+    "noise explains what the fit leaves."
+)
 EXTENDED, FITTED, ADVICE = "extended", "fitted.toml", "advised_trials.csv"
 # From N mm to N·m, for the components of a wrench.
 WRENCH_UNITS = np.array([0.001, 0.001, 1.0, 1.0, 1.0])
@@ -676,25 +681,30 @@ def diagnose_data(
     if not has_priors("diagnose", priors):
         subject = with_wider_priors(subject, model.parameters, asked)
     knee, used = knee_with_equilibria(subject, laxity.without_forces(), start)
-    if has_priors("diagnose", priors) and knee.fitted is not subject.fitted:
-        known = zip(model.parameters.names_of_interest, used.start.tolist(), strict=False)
-        run.strain_priors = {name: x for name, x in known if name.endswith(STRAIN)}
+    # Strains at which trials have no equilibrium may be placeholders: no prior knowledge.
+    strains = tuple(x for x in asked if x.endswith(STRAIN) and used.is_moved)
+    search = replace(FURTHER, doubted=strains if has_priors("diagnose", priors) else ())
     kept = _with_forces(knee, laxity, used)
     lost = excluded_trial_findings(subject, laxity, kept)
-    # Stiffness there as well: the knee has its strains already, and trials may depend on both.
-    is_own = np.array_equal(used.start, model.parameters.start)
-    begin = [] if is_own else [used.start[: model.n_ligament_parameters]]
-    again = partial(
-        investigate, knee, starts=begin, effects=effects, seed=seed, executor=run.executor
+    asked_of = partial(
+        investigate, effects=effects, seed=seed, executor=run.executor, search=search
     )
     with planned("diagnosing", work_of(model.parameters.n)):
-        found = again(kept)
+        found = asked_of(knee, kept)
         if found is None:
             return untestable(
                 _reason_untestable(knee, laxity), (*lost, *end_point_findings(laxity))
             )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
+    fitted, own = found.base.fitted, LaxityModel(knee=knee, protocol=laxity.protocol).parameters
+    run.priors_set_aside = priors_set_aside(fitted.model.parameters, own)
+    # Other trials of the same knee are fitted from where these were, under the same priors.
+    at = dict(zip(fitted.model.parameters.names, fitted.theta.tolist(), strict=True))
+    are_wide = bool(search.doubted) and set(search.doubted) <= set(run.priors_set_aside)
+    priors_then = fitted.model.knee.priors if are_wide else knee.priors
+    same = replace(knee, fitted=at, priors=priors_then)
+    again = partial(asked_of, same, search=FurtherSearch(from_poses=False, doubted=()))
     answer = replace(
         answer,
         trials_used=used.names,
@@ -704,6 +714,7 @@ def diagnose_data(
         assumptions=(
             *answer.assumptions,
             *used.sentences,
+            *((SET_ASIDE,) if are_wide else ()),
             *(
                 ()
                 if found.advice is None

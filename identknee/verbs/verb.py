@@ -344,16 +344,15 @@ class Run:
         All that the results depend on.
     trials
         The trials of the data that are asked about; None for a verb without data.
-    strain_priors
-        Reference strains on which priors are centred, by parameter [%]; None where they are the
-        subject's.
+    priors_set_aside
+        Parameters whose priors do not count, as the data contradict them.
     """
 
     workers: Workers
     out: Path | None
     deciding: Mapping[str, Any]
     trials: TrialsAsked | None = None
-    strain_priors: Mapping[str, float] | None = None
+    priors_set_aside: tuple[str, ...] = ()
     _stack: ExitStack
     _executor: Executor | None = None
     _store: Store | None = None
@@ -466,7 +465,7 @@ def verb(function: Callable[..., Any]) -> Callable[..., Any]:
             if run.trials is not None:
                 asked = question(recording.verb, read["subject"], run.trials, bound.arguments)
                 findings = _with_those_of_data(result.findings, run.trials.findings)
-                asked = replace(asked, strain_priors=run.strain_priors)
+                asked = replace(asked, priors_set_aside=run.priors_set_aside)
                 result = replace(result, question=asked, findings=findings)
             if warned := _subject_warnings(bound.arguments, read):
                 result = replace(result, findings=without_repeats((*result.findings, *warned)))

@@ -645,7 +645,7 @@ NAMING = (
         "tests/unit/diagnosis/test_torn_ligament.py::test_a_refuted_prior_is_neither_misfit_nor_scored",
     ),
     fault(
-        "identknee/diagnosis/fitting.py",
+        "identknee/diagnosis/base_fit.py",
         "_without_priors",
         "gone[stiffness], gone[strain] = (NEARLY_GONE * p.center[stiffness], p.center[strain])",
         "continue",

@@ -41,6 +41,7 @@ MODULES = {
     "unlisted_causes": "verify_verdicts",
     "one_cause": "verify_verdicts",
     "measured_knee": "verify_measured_knee",
+    "diagnosis_base": "verify_diagnosis_base",
     "measured_ends": "verify_measured_ends",
     "interval_pairs": "verify_interval_pairs",
     "priors": "verify_priors",

@@ -14,10 +14,10 @@ from scipy.stats import multivariate_normal
 from identknee.calibrate.problem import Evaluation
 from identknee.diagnosis import fitting
 from identknee.diagnosis import verdict as module
+from identknee.diagnosis.base_fit import fit_base
 from identknee.diagnosis.fitting import (
     Refit,
     expected_distance,
-    fit_base,
     rivals_of,
     without_causes,
 )

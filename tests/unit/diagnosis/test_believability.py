@@ -9,13 +9,13 @@ from elsewhere import Elsewhere
 
 import identknee as ik
 from identknee.diagnosis import believability
+from identknee.diagnosis.base_fit import with_wider_priors
 from identknee.diagnosis.believability import (
     CauseUnderLimits,
     _drawn,
     _log_share,
     causes_under_limits,
 )
-from identknee.diagnosis.fitting import with_wider_priors
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.identify.optimum import best_fits
 from identknee.laxity.table import Laxity, add_noise

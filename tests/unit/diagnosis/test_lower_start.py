@@ -8,8 +8,9 @@ import pytest
 from diagnoses import SD, short_trials
 
 from identknee.calibrate.fit import Fit
-from identknee.diagnosis import fitting
-from identknee.diagnosis.fitting import best_fit_from, fit_base, past_lost_trials
+from identknee.diagnosis import base_fit
+from identknee.diagnosis.base_fit import fit_base, past_lost_trials
+from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import LOWER, better_start, investigate
 from identknee.identify.optimum import best_fits
 from identknee.laxity.table import add_noise
@@ -71,12 +72,12 @@ def test_where_noise_explains_what_is_left_one_search_is_enough(
         searched.append(seed)
         return best_fits(*how, seed=seed, **more)
 
-    monkeypatch.setattr(fitting, "best_fits", many)
+    monkeypatch.setattr(base_fit, "best_fits", many)
     found = past_lost_trials(replace(base, fitted=stuck), 0).fitted
     assert found.outcome is Outcome.MINIMUM
     assert found.deviance == pytest.approx(lowest.deviance, abs=0.01)
     assert not searched
     # What noise does not explain is searched for from many starts.
-    monkeypatch.setattr(fitting, "EXPLAINED", 1.0)
+    monkeypatch.setattr(base_fit, "EXPLAINED", 1.0)
     past_lost_trials(replace(base, fitted=stuck), 3)
     assert searched == [3]

@@ -9,13 +9,8 @@ from verdict_cases import torn_outcome
 
 import identknee as ik
 from identknee.checks.fit_checks import idle_parameters, ligament_findings, ligament_loads
-from identknee.diagnosis.fitting import (
-    WIDER_IF_IDLE,
-    FittedModel,
-    fit_base,
-    without_causes,
-    without_idle_priors,
-)
+from identknee.diagnosis.base_fit import WIDER_IF_IDLE, fit_base, without_idle_priors
+from identknee.diagnosis.fitting import FittedModel, without_causes
 from identknee.diagnosis.investigation import Investigation, investigate
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import load_protocol
