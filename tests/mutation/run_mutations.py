@@ -118,7 +118,7 @@ def _run_tests(folder: Path, tests: Sequence[str], output: int) -> NoReturn:
         os.dup2(output, 2)
         os.chdir(folder)
         sys.path[:0] = [str(folder / x) for x in (".", "tests", "tests/support", "studies")]
-        code = int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]))
+        code = int(pytest.main(["-q", "-x", "--slow", "-n", "0", "-p", "no:cacheprovider", *tests]))
     except BaseException:  # noqa: BLE001 - nothing may go on in the copy of the process
         traceback.print_exc()
     finally:

@@ -646,6 +646,22 @@ NAMING = (
     ),
     fault(
         "identknee/diagnosis/base_fit.py",
+        "lowest_fit",
+        "found = _lowest_from_poses(base, seed)",
+        "found = base",
+        "a diagnosis of a measured knee stays in the minimum that it found first",
+        "tests/unit/diagnosis/test_lower_start.py::test_from_measured_poses_a_fit_is_also_begun_elsewhere",
+    ),
+    fault(
+        "identknee/checks/usable_trials.py",
+        "knee_with_equilibria",
+        "knee = replace(knee, fitted=at)",
+        "pass",
+        "a diagnosis begins where trials have no equilibrium",
+        "tests/unit/checks/test_usable_trials.py::test_only_the_start_moves_and_priors_stay_centred_on_the_subject",
+    ),
+    fault(
+        "identknee/diagnosis/base_fit.py",
         "_without_priors",
         "gone[stiffness], gone[strain] = (NEARLY_GONE * p.center[stiffness], p.center[strain])",
         "continue",

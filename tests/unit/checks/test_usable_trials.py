@@ -8,7 +8,7 @@ import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.checks.usable_trials import TrialSearch, starts_by_stretch
+from identknee.checks.usable_trials import TrialSearch, knee_with_equilibria, starts_by_stretch
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
@@ -131,6 +131,18 @@ def test_verbs_of_identification_begin_there_too_and_name_what_they_leave_out() 
     assert any("measured pose" in x for x in found.assumptions)
     (lost,) = [x for x in found.findings if x.where == "trials"]
     assert (lost.code, lost.values["n_used"]) == ("trials-lost", laxity.n - 1)
+
+
+def test_only_the_start_moves_and_priors_stay_centred_on_the_subject() -> None:
+    knee, used = knee_with_equilibria(slack(), as_read(), "subject")
+    assert used.is_moved
+    parameters = LaxityModel(knee=knee, protocol=as_read().protocol).parameters
+    strains = [x.endswith("reference_strain_pct") for x in parameters.names]
+    np.testing.assert_array_equal(parameters.center[strains], -30.0)
+    assert (parameters.start[strains] > -20.0).all()
+    same, there = knee_with_equilibria(small_knee(), as_read(), "subject")
+    assert not there.is_moved
+    assert dict(same.fitted or {}) == dict(small_knee().fitted or {})
 
 
 @pytest.mark.slow

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnoses import SD, short_trials
+from small_knee import as_read, small_knee
 
 from identknee.calibrate.fit import Fit
 from identknee.diagnosis import base_fit
-from identknee.diagnosis.base_fit import fit_base, past_lost_trials
+from identknee.diagnosis.base_fit import fit_base, lowest_fit, past_lost_trials
 from identknee.diagnosis.fitting import best_fit_from
 from identknee.diagnosis.investigation import LOWER, better_start, investigate
 from identknee.identify.optimum import best_fits
@@ -81,3 +82,17 @@ def test_where_noise_explains_what_is_left_one_search_is_enough(
     monkeypatch.setattr(base_fit, "EXPLAINED", 1.0)
     past_lost_trials(replace(base, fitted=stuck), 3)
     assert searched == [3]
+
+
+def test_from_measured_poses_a_fit_is_also_begun_elsewhere() -> None:
+    measured = as_read()
+    laxity = replace(measured, sd=np.full(measured.coordinates.shape, SD))
+    base = fit_base(small_knee(), laxity, starts=[], seed=0)
+    assert base is not None
+    lowest = base.fitted
+    assert lowest.model.poses is not None
+    beside = lowest.theta + np.where(np.arange(lowest.theta.size) % 2, 2.0, 0.0)
+    stuck = best_fit_from(lowest.model, laxity, lowest.noise, [beside], most_steps=1)
+    assert stuck.deviance > lowest.deviance + LOWER
+    found = lowest_fit(replace(base, fitted=stuck), 0).fitted
+    assert found.deviance == pytest.approx(lowest.deviance, abs=0.01)
