@@ -57,6 +57,7 @@ REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
 N_ELSEWHERE, FIRST_STEPS = 16, 10
 # A torn ligament explains a misfit that noise alone then makes in one of twenty tables or more.
 EXPLAINED = 0.05
+# By how much a prior that was not widened may seem wider.
 ROUNDING = 1e-9
 
 
@@ -81,7 +82,7 @@ def priors_set_aside(now: Parameters, before: Parameters) -> tuple[str, ...]:
     )
 
 
-def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> "BaseFit | None":
+def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) -> BaseFit | None:
     """The base model's fit, its noise found on the way; None where the noise cannot be known.
 
     The base model is the subject's knee with the contact law as a nuisance: how stiff cartilage is
@@ -120,7 +121,7 @@ def fit_base(knee: Knee, laxity: Laxity, *, starts: Sequence[Array], seed: int) 
     return _with_its_noise(fitted, stated)
 
 
-def _with_its_noise(fitted: FittedModel, known: DataNoise) -> "BaseFit":
+def _with_its_noise(fitted: FittedModel, known: DataNoise) -> BaseFit:
     """A fit repeated with the noise that its own residuals show; `known` if they show none.
 
     The residuals of a worse fit are rough where trials jump, which would count as noise.
@@ -165,10 +166,9 @@ def lowest_fit(base: BaseFit, seed: int, search: FurtherSearch = FURTHER) -> Bas
             if freed is not found and _is_explained(freed):
                 return past_lost_trials(freed, seed)
             found = _polished(base, with_hops(problem, ends, seed=seed, budget=BRIEF))
-    if search.doubted and found.fitted.is_refuted.any():
-        freed = _without_doubted_priors(found, search.doubted, seed)
-        if freed is not found:
-            return freed
+    freed = _without_doubted_priors(found, search.doubted, seed)
+    if freed is not found:
+        return freed
     freed = without_idle_priors(found)
     return found if freed is found else past_lost_trials(freed, seed)
 
@@ -179,7 +179,8 @@ def _is_explained(base: BaseFit) -> bool:
 
 def _without_doubted_priors(base: BaseFit, doubted: Sequence[str], seed: int) -> BaseFit:
     """The fit with wider priors of the parameters doubted, where only these explain the misfit."""
-    if without_causes(base).misfit_p_value >= REJECTED:
+    is_refuted = base.fitted.is_refuted.any()
+    if not doubted or not is_refuted or without_causes(base).misfit_p_value >= REJECTED:
         return base
     begun = base.fitted.model.parameters.start
     freed = _lowest_from_poses(_with_wider_priors(base, doubted, WIDER, [begun]), seed)

@@ -297,12 +297,15 @@ def investigate(
     )
 
 
-def work_of(n: int) -> dict[str, list[float]]:
-    """What each piece of a diagnosis with so many parameters costs, beside the others."""
+def work_of(n: int, *, from_poses: bool) -> dict[str, list[float]]:
+    """What each piece of a diagnosis with n parameters costs, beside the others.
+
+    From measured poses the knee is also fitted from elsewhere.
+    """
     # A fit takes longer with more parameters; its derivatives by them and by effects the more so.
     size = (24.0 + n) / 32.0
     return {
-        "fitting the knee": [0.45],
+        "fitting the knee": [2.0 if from_poses else 0.45],
         "scoring causes": [0.6 / size] * 2,
         "trying causes": [0.05] * 8,
         "fitting causes": [SIMPLE] * 7 + [FAR_FROM_DONE],

@@ -689,7 +689,8 @@ def diagnose_data(
     asked_of = partial(
         investigate, effects=effects, seed=seed, executor=run.executor, search=search
     )
-    with planned("diagnosing", work_of(model.parameters.n)):
+    from_poses = model.with_tests(kept).poses is not None
+    with planned("diagnosing", work_of(model.parameters.n, from_poses=from_poses)):
         found = asked_of(knee, kept)
         if found is None:
             return untestable(
