@@ -359,10 +359,12 @@ def question_sentences(answers: Sequence[Answer]) -> Iterator[str]:
     """Which answers are out of date, and in what the questions of the others differ."""
     for place, better in stale_answers(answers).items():
         own = answers[place]
+        has_file = isinstance(better, Calibration)
+        begun = " with --start fitted/fitted.toml, of the folder of that fit" if has_file else ""
         yield (
             f"{_verb(own).capitalize()} rests on a fit of deviance {own.best_deviance:.4g}, and "
             f"{_verb(better)} found one of {better.best_deviance:.4g}: {_verb(own)} is out of "
-            "date and should be run again."
+            f"date and should be run again{begun}."
         )
     asked = [x for x in answers if x.question is not None]
     if len(asked) < 2:

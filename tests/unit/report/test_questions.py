@@ -10,6 +10,7 @@ import identknee as ik
 from identknee.calibrate.problem import TABLE_TERM, EvidenceTerm
 from identknee.report.overview import overview, question_sentences, stale_answers
 from identknee.verbs.answer import Answer
+from identknee.verbs.fit import FITTED
 
 
 def _with_deviance(answer: Answer, deviance: float) -> Answer:
@@ -43,6 +44,8 @@ def test_a_lower_optimum_puts_an_answer_out_of_date(
     assert stale_answers([fitted, lower]) == {}
     (said,) = overview([lower, profiles]).questions
     assert f"{lower.best_deviance:.4g}" in said
+    # Run again as before it would end where it did.
+    assert f"{FITTED}/fitted.toml" in said
 
 
 def test_answers_to_other_questions_are_not_compared(
