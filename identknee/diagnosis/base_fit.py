@@ -36,6 +36,7 @@ from identknee.model.effects.library import values_of
 from identknee.model.parameters import STIFFNESS, STRAIN, Parameters
 from identknee.model.residuals import LaxityResiduals
 from identknee.runs.declare import Array, declared, entry
+from identknee.runs.progress import finished, progress, stage
 from identknee.runs.record import Outcome
 from identknee.subject.knee import Knee, StatedPrior
 
@@ -55,6 +56,7 @@ REJECTED, BRIEF, N_POLISHED = 1e-3, 60, 4
 # lowest led to the same fit as after 40 on both measured knees, with insertions uncertain by 2 mm.
 # By 4 mm, 40 led to a deviance lower by 2.5 with the bundles, in nearly three times the time.
 N_ELSEWHERE, FIRST_STEPS = 16, 10
+LOOKING_LOWER = "looking for a lower fit"
 # A torn ligament explains a misfit that noise alone then makes in one of twenty tables or more.
 EXPLAINED = 0.05
 # By how much a prior that was not widened may seem wider.
@@ -282,14 +284,16 @@ def _lowest_from_poses(base: BaseFit, seed: int) -> BaseFit:
     if problem is None:
         return base
     points = starts_elsewhere(base.fitted.model, base.fitted.theta, N_ELSEWHERE, seed=seed)
-    found, idle = _lower_from(base, problem, points, seed), 0
-    for k, reach in enumerate(REACH_OF_HOPS):
+    with stage(LOOKING_LOWER):
+        found, idle = _lower_from(base, problem, points, seed), 0
+    for k, reach in enumerate(progress(REACH_OF_HOPS, description=LOOKING_LOWER)):
         lowest = found.fitted
         near = sobol_around(problem.parameters, lowest.theta, N_HOPS, reach=reach, seed=seed + k)
         found = _lower_from(found, problem, near, seed)
         idle = 0 if found.fitted.deviance < lowest.deviance - A_GAIN else idle + 1
         if idle == MOST_IDLE:
             break
+    finished(LOOKING_LOWER)
     return found
 
 

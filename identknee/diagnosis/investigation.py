@@ -16,7 +16,13 @@ from identknee.checks.fit_checks import (
 from identknee.checks.subject_checks import stability_findings
 from identknee.checks.usable_trials import needs_weights
 from identknee.diagnosis.advice import AdvisedProtocol, advise
-from identknee.diagnosis.base_fit import FURTHER, FurtherSearch, fit_base, lowest_fit
+from identknee.diagnosis.base_fit import (
+    FURTHER,
+    LOOKING_LOWER,
+    FurtherSearch,
+    fit_base,
+    lowest_fit,
+)
 from identknee.diagnosis.candidates import Exclusion, insertions_beyond_prior, remounting_errors
 from identknee.diagnosis.fitting import (
     BaseFit,
@@ -44,6 +50,7 @@ from identknee.diagnosis.verdict import (
     causes_of,
     conclude,
 )
+from identknee.identify.optimum import REACH_OF_HOPS
 from identknee.laxity.protocol import as_shown
 from identknee.laxity.table import COORDINATES, Laxity
 from identknee.laxity.trial_words import SHORT_DIRECTIONS
@@ -57,7 +64,7 @@ from identknee.model.missing_wrench import MissingWrench, missing_wrench
 from identknee.runs.declare import Array
 from identknee.runs.executors import Executor, serial
 from identknee.runs.findings import Finding, Severity, finding
-from identknee.runs.progress import stage
+from identknee.runs.progress import finished, stage
 from identknee.runs.record import Outcome
 from identknee.runs.words import listed
 from identknee.subject.knee import Knee
@@ -66,6 +73,7 @@ from identknee.subject.knee import Knee
 LOWER = 1.0
 # Predicted reduction with which a fit that ended before its minimum is still taken for it.
 SMALL_REDUCTION = 1.0
+REPEATING = "repeating it with other trials"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -277,6 +285,7 @@ def investigate(
         near = replace(search, from_poses=False)
         base_fit = base_fit if again is None else lowest_fit(again, seed, near)
         attribution, p_value = _explained(base_fit, effects, seed, executor)
+    finished("scoring causes", "trying causes", "fitting causes")
     base, noise = attribution.base, base_fit.noise
     conclusion = conclude(attribution, p_value)
     fitted = base.fitted
@@ -297,20 +306,31 @@ def investigate(
     )
 
 
-def work_of(n: int, *, from_poses: bool) -> dict[str, list[float]]:
-    """What each piece of a diagnosis with n parameters costs, beside the others.
-
-    From measured poses the knee is also fitted from elsewhere.
-    """
+def work_of(n: int) -> dict[str, list[float]]:
+    """What each piece of a diagnosis with n parameters costs, beside the others."""
     # A fit takes longer with more parameters; its derivatives by them and by effects the more so.
     size = (24.0 + n) / 32.0
     return {
-        "fitting the knee": [2.0 if from_poses else 0.45],
+        "fitting the knee": [0.45],
         "scoring causes": [0.6 / size] * 2,
         "trying causes": [0.05] * 8,
         "fitting causes": [SIMPLE] * 7 + [FAR_FROM_DONE],
         "choosing trials": [1.6 * size],
         "telling what follows": [1.3 * size],
+    }
+
+
+def work_from_poses(*, is_repeated: bool) -> dict[str, list[float]]:
+    """The same where the knee is fitted from measured poses, repeated or not with other trials."""
+    return {
+        "fitting the knee": [0.5],
+        LOOKING_LOWER: [1.0] + [0.6] * len(REACH_OF_HOPS),
+        "scoring causes": [0.06] * 2,
+        "trying causes": [0.02] * 8,
+        "fitting causes": [SIMPLE] * 8,
+        "choosing trials": [0.3],
+        "telling what follows": [1.2],
+        REPEATING: [2.5] * is_repeated,
     }
 
 

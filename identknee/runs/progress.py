@@ -197,6 +197,23 @@ def stage(description: str) -> Iterator[None]:
 
 
 @contextmanager
+def whole_stage(description: str) -> Iterator[None]:
+    """One piece of `planned` work that is not told in parts, whatever is counted within it."""
+    with stage(description):
+        _plans.append(_Plan({}, Advance()))
+        try:
+            yield
+        finally:
+            _plans.pop()
+
+
+def finished(*descriptions: str) -> None:
+    """Of these pieces of `planned` work no more will be done, though more were planned."""
+    for plan in _plans[-1:]:
+        plan.finish(descriptions)
+
+
+@contextmanager
 def progress_bar(
     description: str,
     total: int | None = None,
@@ -398,7 +415,7 @@ class _Plan:
         self._shorter = shorter
         self._costs = {name: list(costs) for name, costs in work.items()}
         self._done = dict.fromkeys(work, 0)
-        self._before = 0.0
+        self._before, self._share = 0.0, 0.0
         self._began = time.monotonic()
         self._advance = advance
 
@@ -422,9 +439,21 @@ class _Plan:
     def add(self, description: str, count: int) -> None:
         """Tell the bar that so many items of a map are done."""
         self._done[description] += count
+        self._tell(description)
+
+    def finish(self, descriptions: Sequence[str]) -> None:
+        """Tell the bar that of these maps no more items will be done."""
+        for x in descriptions:
+            if x in self._costs:
+                self._done[x] = len(self._costs[x])
+                self._tell(x)
+
+    def _tell(self, description: str) -> None:
         whole = sum(map(sum, self._costs.values()))
         done = sum(sum(costs[: self._done[name]]) for name, costs in self._costs.items())
-        share, before = done / whole, self._before / whole
+        # What turns out to cost more does not undo what was done.
+        self._share = max(self._share, done / whole)
+        share, before = self._share, self._before / whole
         elapsed = time.monotonic() - self._began
         left = time_left(elapsed, share, before)
         if self._shorter and left is not None and left > LONG_S:

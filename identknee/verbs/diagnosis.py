@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -42,7 +43,13 @@ from identknee.diagnosis.gain import (
     Process,
     Rmse,
 )
-from identknee.diagnosis.investigation import Investigation, investigate, work_of
+from identknee.diagnosis.investigation import (
+    REPEATING,
+    Investigation,
+    investigate,
+    work_from_poses,
+    work_of,
+)
 from identknee.diagnosis.misfit import LEVEL, CellScore, ResidualTest
 from identknee.diagnosis.missing_line import LineEnds, LineFinding, Pull
 from identknee.diagnosis.verdict import (
@@ -71,7 +78,7 @@ from identknee.runs.declare import (
 )
 from identknee.runs.files import write_atomically
 from identknee.runs.findings import Doubt, Finding, doubt_of, finding, without_repeats
-from identknee.runs.progress import planned, stage
+from identknee.runs.progress import planned, stage, whole_stage
 from identknee.runs.record import Outcome
 from identknee.subject.folder import write_subject
 from identknee.subject.insertion_sites import PlaceSide
@@ -565,7 +572,9 @@ def row_findings(found: Investigation, again: Investigate) -> tuple[Finding, ...
     if not rows:
         return ()
     it = "it" if len(rows) == 1 else "these trials"
-    then = _verdict(again(without_rows(found.laxity, rows)), found, f"Without {it}")
+    with whole_stage(REPEATING):
+        rest = again(without_rows(found.laxity, rows))
+    then = _verdict(rest, found, f"Without {it}")
     return trial_findings(rows, found.laxity, "trial-against-fit", then=then)
 
 
@@ -582,7 +591,9 @@ def _contradicted(
     rows = [x for x in suspicious_end_points(whole) if whole.protocol.trials[x.trial] in names]
     if not rows:
         return ()
-    then = _verdict(again(whole), found, f"With {'it' if len(rows) == 1 else 'them'}")
+    with whole_stage(REPEATING):
+        rest = again(whole)
+    then = _verdict(rest, found, f"With {'it' if len(rows) == 1 else 'them'}")
     return trial_findings(rows, whole, "trial-against-course", then=then, is_left_out=True)
 
 
@@ -690,7 +701,9 @@ def diagnose_data(
         investigate, effects=effects, seed=seed, executor=run.executor, search=search
     )
     from_poses = model.with_tests(kept).poses is not None
-    with planned("diagnosing", work_of(model.parameters.n, from_poses=from_poses)):
+    is_repeated = run.trials is not None and bool(run.trials.contradicted)
+    work = work_from_poses(is_repeated=is_repeated) if from_poses else work_of(model.parameters.n)
+    with planned("diagnosing", work):
         found = asked_of(knee, kept)
         if found is None:
             return untestable(
@@ -698,62 +711,69 @@ def diagnose_data(
             )
         with stage("telling what follows"):
             answer = diagnosis_of(found)
-    fitted, own = found.base.fitted, LaxityModel(knee=knee, protocol=laxity.protocol).parameters
-    run.priors_set_aside = priors_set_aside(fitted.model.parameters, own)
-    # Other trials of the same knee are fitted from where these were, under the same priors.
-    at = dict(zip(fitted.model.parameters.names, fitted.theta.tolist(), strict=True))
-    are_wide = bool(search.doubted) and set(search.doubted) <= set(run.priors_set_aside)
-    priors_then = fitted.model.knee.priors if are_wide else knee.priors
-    same = replace(knee, fitted=at, priors=priors_then)
-    again = partial(asked_of, same, search=FurtherSearch(from_poses=False, doubted=()))
-    answer = replace(
-        answer,
-        trials_used=used.names,
-        under_limits=causes_under_limits(found, limits, stated, seed=seed, executor=run.executor)
-        if limits
-        else (),
-        assumptions=(
-            *answer.assumptions,
-            *used.sentences,
-            *((SET_ASIDE,) if are_wide else ()),
-            *(
-                ()
-                if found.advice is None
-                else candidate_path_findings(found.explanation.fitted.model)
-            ),
-        ),
-        findings=without_repeats(
-            (
-                *lost,
-                *_contradicted(run, noise, found, again),
-                *row_findings(found, again),
-                *implausible_explanation(found),
-                *answer.findings,
-                *advice_findings(found),
+        fitted, own = found.base.fitted, LaxityModel(knee=knee, protocol=laxity.protocol).parameters
+        run.priors_set_aside = priors_set_aside(fitted.model.parameters, own)
+        # Other trials of the same knee are fitted from where these were, under the same priors.
+        at = dict(zip(fitted.model.parameters.names, fitted.theta.tolist(), strict=True))
+        are_wide = bool(search.doubted) and set(search.doubted) <= set(run.priors_set_aside)
+        priors_then = fitted.model.knee.priors if are_wide else knee.priors
+        same = replace(knee, fitted=at, priors=priors_then)
+        again = partial(asked_of, same, search=FurtherSearch(from_poses=False, doubted=()))
+        answer = replace(
+            answer,
+            trials_used=used.names,
+            under_limits=causes_under_limits(
+                found, limits, stated, seed=seed, executor=run.executor
             )
-        ),
-    )
-    if run.out is not None:
-        folder = write_subject(found.extended_knee, run.out / EXTENDED)
-        lines = ["# Where the fit of the extended model lies: --start of other verbs."]
-        for owner, values in found.explanation.fitted_values.items():
-            # A cause of one rig has a name that TOML takes in quotes alone.
-            table = f'["{owner}"]' if OF in owner else f"[{owner}]"
-            lines += ["", table, *(f"{name} = {value!r}" for name, value in values.items())]
-        write_atomically(folder / FITTED, "\n".join(lines) + "\n")
-        if found.advice is not None:
-            write_laxity(
-                Laxity(
-                    protocol=found.advice.trials,
-                    coordinates=np.full(
-                        (found.advice.trials.n, found.laxity.coordinates.shape[1]), np.nan
-                    ),
-                    zero=zero_of_added_trials(found.laxity.zero),
-                    comments=(ADVISED,),
+            if limits
+            else (),
+            assumptions=(
+                *answer.assumptions,
+                *used.sentences,
+                *((SET_ASIDE,) if are_wide else ()),
+                *(
+                    ()
+                    if found.advice is None
+                    else candidate_path_findings(found.explanation.fitted.model)
                 ),
-                run.out / ADVICE,
-            )
+            ),
+            findings=without_repeats(
+                (
+                    *lost,
+                    *_contradicted(run, noise, found, again),
+                    *row_findings(found, again),
+                    *implausible_explanation(found),
+                    *answer.findings,
+                    *advice_findings(found),
+                )
+            ),
+        )
+    if run.out is not None:
+        _write_extended(found, run.out)
     return answer
+
+
+def _write_extended(found: Investigation, out: Path) -> None:
+    """Write the subject with the causes found, where it was fitted, and the trials advised."""
+    folder = write_subject(found.extended_knee, out / EXTENDED)
+    lines = ["# Where the fit of the extended model lies: --start of other verbs."]
+    for owner, values in found.explanation.fitted_values.items():
+        # A cause of one rig has a name that TOML takes in quotes alone.
+        table = f'["{owner}"]' if OF in owner else f"[{owner}]"
+        lines += ["", table, *(f"{name} = {value!r}" for name, value in values.items())]
+    write_atomically(folder / FITTED, "\n".join(lines) + "\n")
+    if found.advice is not None:
+        write_laxity(
+            Laxity(
+                protocol=found.advice.trials,
+                coordinates=np.full(
+                    (found.advice.trials.n, found.laxity.coordinates.shape[1]), np.nan
+                ),
+                zero=zero_of_added_trials(found.laxity.zero),
+                comments=(ADVISED,),
+            ),
+            out / ADVICE,
+        )
 
 
 def _with_forces(knee: Knee, laxity: Laxity, used: TrialSelection) -> Laxity:

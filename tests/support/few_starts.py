@@ -19,8 +19,10 @@ def use_few_starts(patch: pytest.MonkeyPatch) -> None:
     """Searches of verbs begin at three points in place of seventeen, and hop once."""
     for module in ("identify.optimum", "verbs.fit"):
         patch.setattr(f"identknee.{module}.with_fits_from", _with_few_fits)
-    patch.setattr("identknee.identify.optimum.N_HOPS", FEW)
-    patch.setattr("identknee.identify.optimum.REACH_OF_HOPS", REACH_OF_HOPS[:FEW_ROUNDS])
+    for module in ("identify.optimum", "diagnosis.base_fit"):
+        patch.setattr(f"identknee.{module}.N_HOPS", FEW)
+        patch.setattr(f"identknee.{module}.REACH_OF_HOPS", REACH_OF_HOPS[:FEW_ROUNDS])
+    patch.setattr("identknee.diagnosis.base_fit.N_ELSEWHERE", FEW)
     patch.setattr("identknee.identify.profile.profile.N_STARTS", FEW)
 
 

@@ -237,7 +237,7 @@ def test_a_diagnosis_says_the_verdict_without_the_row() -> None:
     assert answer.verdict is ik.Verdict.ADEQUATE
 
 
-@pytest.mark.usefixtures("no_conventions")
+@pytest.mark.usefixtures("no_conventions", "few_starts")
 def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forces(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

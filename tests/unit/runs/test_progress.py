@@ -9,7 +9,16 @@ import pytest
 
 from identknee.runs import progress as module
 from identknee.runs import progress as progress_lines
-from identknee.runs.progress import counted, planned, progress, progress_bar, stage, time_left
+from identknee.runs.progress import (
+    counted,
+    finished,
+    planned,
+    progress,
+    progress_bar,
+    stage,
+    time_left,
+    whole_stage,
+)
 
 
 class Terminal(io.StringIO):
@@ -159,6 +168,32 @@ def test_a_part_may_know_its_costs_better_than_the_plan(monkeypatch: pytest.Monk
             assert list(counted("ab", advance)) == ["a", "b"]
     assert bar.told[2] == pytest.approx((0.25, "second", 30.0))
     assert bar.told[-1][0] == 1.0
+
+
+def test_a_plan_is_told_what_will_not_be_done_and_never_goes_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bar, now = Recorded(), [0.0]
+    monkeypatch.setattr(module, "_bar", lambda *_, **__: contextlib.nullcontext(bar))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    work = {"first": [1.0], "perhaps": [3.0] * 2, "last": [2.0, 1.0]}
+    with planned("all", work):
+        with stage("first"):
+            now[0] = 10.0
+        finished("perhaps", "unknown")
+        assert bar.told[-1] == pytest.approx((0.7, "perhaps", 10.0 * 3.0 / 7.0))
+        with whole_stage("last"), stage("first"):
+            finished("last")
+        assert bar.told[-1][:2] == pytest.approx((0.9, "last"))
+        # One item more than was planned.
+        with stage("first"):
+            pass
+        with progress_bar("last", 9):
+            pass
+    shares = [x[0] for x in bar.told]
+    assert shares == sorted(shares)
+    # What is counted within a whole stage is not told.
+    assert len(shares) == 8
 
 
 def test_time_left_goes_down_within_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
