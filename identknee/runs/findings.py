@@ -525,10 +525,23 @@ _ALL = (
         "Give each surface its own file.",
     ),
     _geometry(
+        "insertions-elsewhere",
+        ERROR,
+        "All insertions on a bone are far from its articular surface.",
+        "Give insertions and surfaces in one frame, in mm: move those of a bone's own frame.",
+    ),
+    _geometry(
         "ligaments-exchanged",
         ERROR,
-        "Insertions are on the other bone, or a collateral ligament is on the other side.",
+        "Insertions are on the other bone, a collateral ligament is on the other side, or the ACL "
+        "inserts behind the PCL.",
         "Exchange the names of MCL and LCL, or mirror the insertions as the surfaces are.",
+    ),
+    _geometry(
+        "ligaments-mirrored",
+        ERROR,
+        "Cruciates cross as in a knee of the other side.",
+        "Mirror the insertions as the surfaces are: change the sign of one of their coordinates.",
     ),
     _geometry(
         "stiffness-impossible", ERROR, "No ligament has a stiffness near the stated one.", DIVIDE
@@ -598,6 +611,12 @@ _ALL = (
         "Keep the articular side only: force must keep growing with penetration.",
     ),
     _geometry(
+        "surface-holes",
+        WARNING,
+        "A surface has holes within its rim, where it bears nothing.",
+        "Fill the holes in the mesh, unless the cartilage is gone there.",
+    ),
+    _geometry(
         "winding-inconsistent",
         WARNING,
         "Neighbouring triangles of a surface face opposite ways.",
@@ -638,6 +657,12 @@ _ALL = (
         WARNING,
         "A ligament is shorter than 5 mm or longer than 200 mm in the scanned pose.",
         "Check its insertions: both are points of the common frame in mm.",
+    ),
+    _geometry(
+        "insertion-far",
+        WARNING,
+        "An insertion is farther from the articular surface of its bone than any of a knee.",
+        "Check its three numbers: they are a point of the common frame in mm.",
     ),
     _geometry(
         "insertion-inside-obstacle",

@@ -11,7 +11,7 @@ from typing_extensions import override
 from identknee.mechanics.pose import angles_of
 from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.findings import Finding, Severity, by_severity, finding
-from identknee.runs.triangles import longest_sides, side_names
+from identknee.runs.triangles import lengths, longest_sides, side_names
 from identknee.subject.femoral_distance import distance_to_femur
 from identknee.subject.knee import (
     Knee,
@@ -32,8 +32,17 @@ LEG_IN_METRES = 2.0
 LEAST_FEMUR, LONGEST = 25.0, 1000.0
 # Surfaces that share more than this part of the smaller one's vertices are one surface given twice.
 SHARED = 0.5
-# A collateral ligament farther than this on the other side of the joint [mm] is wrongly named.
+# A ligament farther than this on the other side of the joint, or a cruciate of the other, [mm] is
+# wrongly named.
 WRONG_BY = 10.0
+# A femoral insertion farther than this below the tibial one [mm] is on the other bone: at no angle
+# of flexion does one of a knee come so low.
+BELOW = 5.0
+# Insertions farther than this from the articular surface of their bone [mm] are no knee's. Those of
+# the subjects that come with identknee lie up to 25 mm from it on the femur, 62 mm on the tibia.
+FARTHEST_INSERTION = {"femur": 60.0, "tibia": 110.0}
+# Cruciates insert further in than this, in half the distance of the plateaus.
+BETWEEN_PLATEAUS = 0.9
 # Plausible size of the femoral surface and length of a ligament [mm].
 FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
@@ -116,7 +125,10 @@ def fatal_geometry_findings(knee: Knee) -> tuple[GeometryFinding, ...]:
         or tuple(_impossible(knee))
         or tuple(_wrong_side(knee))
         or tuple(_flipped_surfaces(knee))
+        or tuple(_insertions_elsewhere(knee))
         or tuple(_exchanged_ligaments(knee))
+        or tuple(_mirrored_ligaments(knee))
+        or tuple(_exchanged_cruciates(knee))
     )
 
 
@@ -270,7 +282,27 @@ def _flipped_surfaces(knee: Knee) -> Iterator[GeometryFinding]:
             yield geometry_finding("normals-inward", name, sentence, {"upward": component})
 
 
-COLLATERALS = {"MCL": ("mcl", "smcl", "dmcl"), "LCL": ("lcl",)}
+def _away(knee: Knee, bone: str) -> dict[str, float]:
+    """How far the insertion of each ligament on a bone is from its articular surface [mm]."""
+    surfaces = (knee.femur,) if bone == "femur" else knee.tibia
+    vertices = np.vstack([x.vertices for x in surfaces])
+    return {
+        x.name: float(np.linalg.norm(vertices - getattr(x, bone), axis=1).min())
+        for x in knee.ligaments
+    }
+
+
+def _insertions_elsewhere(knee: Knee) -> Iterator[GeometryFinding]:
+    """Bones all of whose insertions are far away: they were given in another frame."""
+    for bone, farthest in FARTHEST_INSERTION.items():
+        nearest = min(_away(knee, bone).values(), default=0.0)
+        if nearest > farthest:
+            sentence = f"No insertion on the {bone} is nearer to its surface than {nearest:.0f} mm."
+            values = {"bone": bone, "nearest_mm": nearest}
+            yield geometry_finding("insertions-elsewhere", "ligaments", sentence, values)
+
+
+COLLATERALS = {"MCL": ("mcl", "smcl", "dmcl"), "LCL": ("lcl", "fcl")}
 
 
 def _exchanged_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
@@ -281,6 +313,13 @@ def _exchanged_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
         remedy = "Exchange femur and tibia of all ligaments."
         yield geometry_finding("ligaments-exchanged", "ligaments", sentence, remedy=remedy)
         return
+    for ligament in knee.ligaments:
+        below = float((ligament.tibia - ligament.femur) @ up)
+        if below > BELOW:
+            sentence = f"Its femoral insertion lies {below:.0f} mm below the tibial one."
+            values, remedy = {"below_mm": below}, "Exchange its femur and tibia."
+            where = _of(ligament)
+            yield geometry_finding("ligaments-exchanged", where, sentence, values, remedy=remedy)
     medial, lateral = (x.centroid for x in knee.tibia)
     across = (lateral - medial) / np.linalg.norm(lateral - medial)
     middle = (lateral + medial) / 2.0
@@ -294,6 +333,58 @@ def _exchanged_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
             yield geometry_finding("ligaments-exchanged", _of(own[0]), sentence, {"off_mm": -off})
 
 
+def _mirrored_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
+    """Insertions of the other side's knee, whatever the names of the ligaments are.
+
+    Between the condyles a ligament that runs forwards from the femur comes from the lateral one,
+    and one that runs backwards from the medial one. A mirror, whichever its plane, reverses that.
+    """
+    anterior, lateral = knee.tibia_frame.axes[0], knee.tibia_frame.axes[2]
+    middle = np.mean([x.centroid for x in knee.tibia], axis=0)
+    inside = BETWEEN_PLATEAUS * abs((knee.tibia[0].centroid - middle) @ lateral)
+
+    def runs(ligament: Ligament) -> float:
+        return float((ligament.tibia - ligament.femur) @ anterior)
+
+    between = [
+        x
+        for x in knee.ligaments
+        if max(abs((x.femur - middle) @ lateral), abs((x.tibia - middle) @ lateral)) < inside
+    ]
+    forwards, backwards = max(between, key=runs, default=None), min(between, key=runs, default=None)
+    if forwards is None or backwards is None or not runs(forwards) > 0.0 > runs(backwards):
+        return
+    off = float((backwards.femur - forwards.femur) @ lateral)
+    if off > WRONG_BY:
+        other = "left" if knee.side == "right" else "right"
+        sentence = (
+            f"{forwards.name}, which runs forwards, comes {off:.0f} mm further medially from the "
+            f"femur than {backwards.name}, which runs backwards, as in a {other} knee."
+        )
+        values = {"forwards": forwards.name, "backwards": backwards.name, "off_mm": off}
+        yield geometry_finding("ligaments-mirrored", "ligaments", sentence, values)
+
+
+def _exchanged_cruciates(knee: Knee) -> Iterator[GeometryFinding]:
+    """Cruciates by their names, of which the posterior one inserts in front on the tibia."""
+    names = {x.name: x.name.lower() for x in knee.ligaments}
+    places = [
+        [x.tibia for x in knee.ligaments if own in names[x.name] and other not in names[x.name]]
+        for own, other in (("acl", "pcl"), ("pcl", "acl"))
+    ]
+    if not all(places):
+        return
+    front, back = (np.mean(x, axis=0) for x in places)
+    off = float((back - front) @ knee.tibia_frame.axes[0])
+    if off > WRONG_BY:
+        first = next(x for x in knee.ligaments if "acl" in names[x.name])
+        sentence = f"On the tibia the ACL inserts {off:.0f} mm behind the PCL."
+        remedy = "Exchange the names of ACL and PCL."
+        values = {"off_mm": off}
+        where = _of(first)
+        yield geometry_finding("ligaments-exchanged", where, sentence, values, remedy=remedy)
+
+
 def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if clauses := surface.repairs.clauses:
         mended = surface.repairs
@@ -303,6 +394,11 @@ def _surface_findings(name: str, surface: Surface) -> Iterator[GeometryFinding]:
     if surface.is_closed:
         sentence = "The surface is closed: it has a bone side as well."
         yield geometry_finding("surface-closed", name, sentence)
+    if len(holes := hole_sizes(surface)):
+        have = "is a hole" if len(holes) == 1 else f"are {len(holes)} holes"
+        sentence = f"Within the surface there {have}, up to {holes.max():.2g} mm across."
+        values = {"n": len(holes), "largest_mm": holes.max()}
+        yield geometry_finding("surface-holes", name, sentence, values)
     counted = (
         ("winding-inconsistent", count_inconsistent_edges(surface)),
         ("edges-shared", count_shared_edges(surface)),
@@ -350,11 +446,19 @@ def _contact_findings(knee: Knee) -> Iterator[GeometryFinding]:
 
 def _ligament_findings(knee: Knee) -> Iterator[GeometryFinding]:
     shortest, longest = LIGAMENT_LENGTH
+    far = {bone: _away(knee, bone) for bone in FARTHEST_INSERTION}
     for ligament in knee.ligaments:
         where, length, stiffness = _of(ligament), ligament.length, ligament.stiffness_kN
         if not shortest <= length <= longest:
             sentence = f"It is {length:.1f} mm long in the scanned pose."
             yield geometry_finding("ligament-length-odd", where, sentence, {"length_mm": length})
+        else:
+            for bone, farthest in FARTHEST_INSERTION.items():
+                away = far[bone][ligament.name]
+                if away > farthest:
+                    sentence = f"Its insertion on the {bone} is {away:.0f} mm from its surface."
+                    values = {"bone": bone, "away_mm": away}
+                    yield geometry_finding("insertion-far", where, sentence, values)
         if wrap := ligament.wrap:
             for bone in ("femur", "tibia"):
                 off = float(np.linalg.norm(wrap.from_axis(getattr(ligament, bone))))
@@ -445,6 +549,35 @@ def count_shared_edges(surface: Surface) -> int:
     """How many edges belong to three triangles or more."""
     names = side_names(surface.faces, len(surface.vertices))
     return int((np.unique(names, return_counts=True)[1] > 2).sum())
+
+
+def hole_sizes(surface: Surface) -> Array:
+    """How wide the holes of a surface are [mm], ``(n,)``: its rims but the widest of each part.
+
+    A hole that touches the outer rim at a corner is one rim with it, and is no hole.
+    """
+    # Loaded late: it takes longer than a simulation.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n, rim = len(surface.vertices), surface.boundary_edges
+
+    def parts(one: IntArray, other: IntArray) -> IntArray:
+        links = coo_array((np.ones(len(one), bool), (one, other)), shape=(n, n))
+        return np.asarray(connected_components(links, directed=False)[1])
+
+    on, degree = np.unique(rim, return_counts=True)
+    loops, loop, count = np.unique(parts(*rim.T)[on], return_inverse=True, return_counts=True)
+    middle = np.stack([np.bincount(loop, x) / count for x in surface.vertices[on].T], axis=1)
+    widths = np.zeros(len(loops))
+    np.maximum.at(widths, loop, 2.0 * lengths(surface.vertices[on] - middle[loop]))
+    part = np.empty(len(loops), np.int64)
+    part[loop] = parts(surface.faces[:, [0, 1]].ravel(), surface.faces[:, [1, 2]].ravel())[on]
+    order = np.lexsort((-widths, part))
+    # The free edges of a third triangle at an edge are no closed line.
+    is_hole = np.bincount(loop, degree % 2)[order] == 0
+    is_hole &= np.diff(part[order], prepend=-1) == 0
+    return np.asarray(widths[order][is_hole])
 
 
 def count_near_duplicates(surface: Surface, tolerance: float) -> int:

@@ -293,6 +293,94 @@ def test_ligaments_on_the_other_side_or_bone_are_named(knee: Knee) -> None:
         assert sorted(x.where for x in found) == sorted(where)
 
 
+def _replaced(knee: Knee, change: Callable[[Array], Array], *, names: str = "") -> Knee:
+    """The knee with the insertions of the ligaments named, or of all, somewhere else."""
+    return knee.with_ligaments(
+        [
+            replace(x, femur=change(x.femur), tibia=change(x.tibia))
+            if x.name in (names.split() or [x.name])
+            else x
+            for x in knee.ligaments
+        ]
+    )
+
+
+@pytest.mark.parametrize("plane", [[-1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
+def test_insertions_of_the_other_side_are_named_whatever_ligaments_are_called(
+    knee: Knee, plane: list[float]
+) -> None:
+    own = {x.name: x for x in knee.ligaments}
+    off = float((own["ACL"].femur - own["PCL"].femur)[2])
+    called = [replace(x, name=f"line{i}") for i, x in enumerate(knee.ligaments)]
+    cruciates = {x.name: f"line{i}" for i, x in enumerate(knee.ligaments)}
+    mirrored = _replaced(knee.with_ligaments(called), lambda x: x * np.array(plane))
+    (found,) = fatal_geometry_findings(mirrored)
+    assert (found.code, found.where) == ("ligaments-mirrored", "ligaments")
+    ends = ("PCL", "ACL") if plane[0] < 0.0 else ("ACL", "PCL")
+    assert found.values["forwards"] == cruciates[ends[0]]
+    assert found.values["backwards"] == cruciates[ends[1]]
+    assert found.values["off_mm"] == pytest.approx(off)
+
+
+def test_one_ligament_upside_down_is_named(knee: Knee) -> None:
+    acl = knee.ligament("ACL")
+    rise = float((acl.femur - acl.tibia)[1])
+    turned = [
+        replace(x, femur=x.tibia, tibia=x.femur) if x.name == "ACL" else x for x in knee.ligaments
+    ]
+    (found,) = fatal_geometry_findings(knee.with_ligaments(turned))
+    assert (found.code, found.where) == ("ligaments-exchanged", "ligament ACL")
+    assert found.values["below_mm"] == pytest.approx(rise)
+
+
+def test_exchanged_names_of_cruciates_are_told_from_a_mirror(knee: Knee) -> None:
+    names = {"ACL": "PCL", "PCL": "ACL"}
+    renamed = [replace(x, name=names.get(x.name, x.name)) for x in knee.ligaments]
+    (found,) = fatal_geometry_findings(knee.with_ligaments(renamed))
+    gap = float((knee.ligament("ACL").tibia - knee.ligament("PCL").tibia)[0])
+    assert (found.code, found.where) == ("ligaments-exchanged", "ligament ACL")
+    assert found.values["off_mm"] == pytest.approx(gap)
+    assert "ACL and PCL" in found.remedy
+
+
+def test_insertions_in_another_frame_are_named(knee: Knee) -> None:
+    found = fatal_geometry_findings(_replaced(knee, lambda x: x + np.array([100.0, -900.0, 50.0])))
+    assert {(x.code, x.where) for x in found} == {("insertions-elsewhere", "ligaments")}
+    assert [x.values["bone"] for x in found] == ["femur", "tibia"]
+    for bone, one in zip(("femur", "tibia"), found, strict=True):
+        surfaces = (knee.femur,) if bone == "femur" else knee.tibia
+        vertices = np.vstack([x.vertices for x in surfaces]) - [100.0, -900.0, 50.0]
+        apart = [np.linalg.norm(vertices - getattr(x, bone), axis=1).min() for x in knee.ligaments]
+        assert one.values["nearest_mm"] == pytest.approx(min(apart))
+
+
+def test_one_insertion_far_away_is_named(knee: Knee) -> None:
+    far = _replaced(knee, lambda x: x - np.array([90.0, 0.0, 0.0]), names="LCL")
+    assert fatal_geometry_findings(far) == ()
+    (found,) = alarming(check_geometry(far))
+    assert (found.code, found.where) == ("insertion-far", "ligament LCL")
+    assert found.values["bone"] == "femur"
+    assert 60.0 < found.values["away_mm"] < 85.0
+
+
+def _pierced(surface: Surface, radius: float) -> Surface:
+    centres = surface.vertices[surface.faces].mean(axis=1)
+    away = np.linalg.norm(centres - surface.centroid, axis=1)
+    return replace(surface, faces=surface.faces[away > radius])
+
+
+def test_holes_within_a_plateau_are_counted_and_measured(knee: Knee) -> None:
+    medial, lateral = knee.tibia
+    (found,) = alarming(check_geometry(replace(knee, tibia=(_pierced(medial, 6.0), lateral))))
+    assert (found.code, found.where) == ("surface-holes", "tibia_medial")
+    assert found.values["n"] == 1
+    assert 12.0 < found.values["largest_mm"] < 20.0
+    # A part apart has a rim of its own, and the free edges of a fin are no closed line.
+    for whole in (joined(medial, medial.moved(np.eye(3), [0.0, -1.0, 0.0])), _finned(medial)):
+        codes = {x.code for x in alarming(check_geometry(replace(knee, tibia=(whole, lateral))))}
+        assert "surface-holes" not in codes
+
+
 def test_ligaments_in_their_places_are_sound() -> None:
     for name in ("lenhart2015", "lenhart2015_stable", "s192803", "s192803_bundles", "reference"):
         assert fatal_geometry_findings(example(name)) == ()
