@@ -22,6 +22,10 @@ from identknee.runs.errors import InputError
 
 PathLike = str | os.PathLike[str]
 BYTES_PER_MB = 10**6
+BACKSLASH = "Write paths with /, or in TOML between single quotes: 'C:\\data\\femur.ply'."
+# What a backslash makes of the letter after it in TOML and Python, and the drive of a Windows path.
+_ESCAPED = {"\b": r"\b", "\f": r"\f", "\t": r"\t", "\r": r"\r", "\n": r"\n"}
+_DRIVE = re.compile(r"(.*[\\/])?[A-Za-z]:")
 # The process that writes it is part of the name of an unfinished file.
 _PART = re.compile(r"\.(\d+)-\w{8}\.part$")
 
@@ -124,7 +128,14 @@ def check_readable(path: PathLike, limit_mb: float = 512) -> Path:
         If it is missing, a folder, empty, too large or may not be read.
     """
     file = Path(path)
-    first, *more = os.fspath(file).splitlines() or [""]
+    text = os.fspath(file)
+    made = [word for x, word in _ESCAPED.items() if x in text]
+    # A text of several lines was given for a path, unless it begins with a drive.
+    is_path = not {r"\r", r"\n"} & set(made) or _DRIVE.match(text)
+    if made and is_path and not os.path.exists(text):  # noqa: PTH110 - no error where it is long
+        why = f"there is no such file: {made[0]} in its path is one special character"
+        raise InputError(repr(text), "", why, BACKSLASH)
+    first, *more = text.splitlines() or [""]
     if more:
         why = f"this is a text of {1 + len(more)} lines, not the path of a file"
         raise InputError(f"{first[:40]}...", "", why, "Save it to a file and give its path.")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -24,7 +25,7 @@ from pydantic_core import PydanticCustomError
 
 from identknee.runs.declare import Entry, derived_entries, entries, is_declared
 from identknee.runs.errors import InputError, suggestion
-from identknee.runs.files import PathLike, check_readable
+from identknee.runs.files import BACKSLASH, PathLike, check_readable
 
 LONGEST_SHOWN = 60
 # Largest JSON file that is read.
@@ -137,18 +138,36 @@ def read_toml(path: PathLike, limit_mb: float = 512) -> dict[str, Any]:
     """
     file = check_readable(path, limit_mb)
     try:
-        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+        text = file.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(file, "", "the text is not UTF-8", "Save it as UTF-8.") from error
+    try:
+        return tomllib.loads(text)
     except RecursionError as error:
         raise InputError(
             file, "", "this is not TOML: it is nested too deeply", "Correct the file."
         ) from error
     # Impossible dates and numbers of too many digits raise other errors than TOMLDecodeError.
     except (ValueError, OverflowError) as error:
-        paths = " Write paths with /, on Windows too." * ("\\" in str(error))
-        remedy = f"Correct that line.{paths}"
-        raise InputError(file, "", f"this is not TOML: {error}", remedy) from error
+        if found := _backslash(text, str(error)):
+            line, within = found
+            why = f'the backslash in "{within}" begins a special character between double quotes'
+            raise InputError(file, f"line {line}", why, BACKSLASH) from error
+        raise InputError(file, "", f"this is not TOML: {error}", "Correct that line.") from error
+
+
+def _backslash(text: str, error: str) -> tuple[int, str] | None:
+    """Line at which a TOML text breaks off, and the text in double quotes with a backslash there.
+
+    None where there is no such text. A backslash before the last quote makes the parser go on.
+    """
+    place = re.search(r"at line (\d+)", error)
+    lines = text.splitlines()
+    number = int(place[1]) if place else len(lines)
+    row = lines[number - 1] if 0 < number <= len(lines) else ""
+    # What stands between single quotes keeps its backslashes.
+    quoted = re.search(r'"([^"\n]*\\[^"\n]*)"?', re.sub(r"'[^'\n]*'", "", row))
+    return (number, quoted[1][:LONGEST_SHOWN]) if quoted else None
 
 
 def read_json(path: PathLike, remedy: str) -> Any:

@@ -10,6 +10,7 @@ import pytest
 
 from identknee.runs.errors import InputError
 from identknee.runs.files import (
+    BACKSLASH,
     check_readable,
     digest,
     plain,
@@ -103,6 +104,17 @@ def test_check_readable(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=words):
             check_readable(path)
+
+
+@pytest.mark.parametrize("path", ["C:\temp\femur.ply", "knee/C:\new\rest.ply", "meshes\femur.ply"])
+def test_a_path_whose_backslashes_became_special_characters_is_named(path: str) -> None:
+    with pytest.raises(InputError) as caught:
+        check_readable(path)
+    assert caught.value.path == repr(path)
+    assert caught.value.remedy == BACKSLASH
+    for text in ("a\tb\n1\t2\n" * 5000, "a,b\n1,2\n"):
+        with pytest.raises(InputError, match="lines, not the path of a file"):
+            check_readable(text)
 
 
 def test_check_readable_refuses_large_files(tmp_path: Path) -> None:

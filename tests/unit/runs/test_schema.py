@@ -7,6 +7,7 @@ from typing import Annotated
 import pytest
 
 from identknee.runs.errors import InputError
+from identknee.runs.files import BACKSLASH
 from identknee.runs.schema import (
     Fault,
     Number,
@@ -116,3 +117,31 @@ def test_toml_may_begin_with_the_mark_of_its_encoding(tmp_path: Path) -> None:
     assert read_toml(path) == {"a": 1}
     with pytest.raises(InputError, match="1e-06 MB"):
         read_toml(path, 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("row", "within"),
+    [
+        (r'femur = "C:\Users\x\femur.ply"', r"C:\Users\x\femur.ply"),
+        (r'femur = "meshes\medial.ply"', r"meshes\medial.ply"),
+        ('femur = "C:\\data\\"', "C:\\data\\"),
+        (r"""femur = {a = 'C:\x', b = "D:\x"}""", r"D:\x"),
+    ],
+)
+def test_a_windows_path_between_double_quotes_is_named_with_its_line(
+    tmp_path: Path, row: str, within: str
+) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(f"a = 1\n\n{row}\nb = 'c'\n")
+    with pytest.raises(InputError) as caught:
+        read_toml(path)
+    assert (caught.value.path, caught.value.where) == (str(path), "line 3")
+    assert f'"{within}"' in caught.value.why
+    assert caught.value.remedy == BACKSLASH
+    # Between single quotes, or with slashes, all is well; other faults are told as they were.
+    path.write_text("a = 'C:\\Users\\x.ply'\nb = \"C:/Users/x.ply\"")
+    assert read_toml(path) == {"a": "C:\\Users\\x.ply", "b": "C:/Users/x.ply"}
+    path.write_text("a = 'C:\\Users'\nb = ")
+    with pytest.raises(InputError) as other:
+        read_toml(path)
+    assert other.value.remedy != BACKSLASH
