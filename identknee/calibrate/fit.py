@@ -40,7 +40,7 @@ from identknee.calibrate.problem import (
 )
 from identknee.model.parameters import Parameters
 from identknee.runs.declare import OF_PARAMETER, Array, IntArray, array, declared, entry, frozen
-from identknee.runs.errors import InputError, suggestion
+from identknee.runs.errors import InputError, closest, suggestion
 from identknee.runs.executors import Executor, serial, spawn_seeds
 from identknee.runs.progress import progress, progress_bar
 from identknee.runs.record import Outcome
@@ -320,7 +320,7 @@ def load_start(name_or_path: StartLike, parameters: Parameters) -> Array:
     """
     if isinstance(name_or_path, Mapping):
         return _checked_start(Path(IN_MEMORY), dict(_flat(name_or_path)), parameters)
-    if Path(name_or_path).suffix == ".toml":
+    if Path(name_or_path).suffix.lower() == ".toml":
         return read_start(name_or_path, parameters)
     return named_start(os.fspath(name_or_path), parameters)
 
@@ -346,9 +346,10 @@ def named_start(name: str, parameters: Parameters) -> Array:
         return parameters.start
     published = _published()
     if name not in published:
+        close = closest(name, start_names())
         raise ValueError(
-            f"there is no start {name!r}; the starts are {', '.join(start_names())} "
-            "or the path of a file ending in .toml"
+            f"there is no start {name!r}; {f'did you mean {close}? T' if close else 't'}he starts "
+            f"are {', '.join(start_names())} or the path of a file ending in .toml"
         )
     values = dict(_flat(published[name]))
     missing = [parameter for parameter in values if parameter not in parameters.names]

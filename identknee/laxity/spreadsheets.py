@@ -49,26 +49,32 @@ def is_in_radians(values: Array) -> bool:
 
 # First bytes of Excel workbooks, .xlsx and .xls.
 WORKBOOK = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+# First bytes of packed files: gzip, bzip2, xz, zstandard and 7z.
+PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf")
 # Byte-order marks of UTF-16; other text is read as UTF-8.
 WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 LOOKED_AT = 512  # bytes
 # Names of a column in which pandas or R number the rows; it may have none.
 NAMELESS = re.compile(r"(Unnamed: \d+|index|level_0|rownames)?")
 COUNT = re.compile(r"[0-9]+")
-# Names of units in lower case and without brackets, by the ending of column names.
+# Names of units in lower case, without brackets and without what multiplies factors, by the ending
+# of column names.
 UNITS = {
     "deg": ("deg", "degs", "degree", "degrees", "°", "º"),
     "mm": ("mm", "millimetre", "millimetres", "millimeter", "millimeters"),
-    "Nm": ("nm", "n·m", "n.m", "n*m", "n m", "n-m"),
+    "Nm": ("nm",),
     "N": ("n", "newton", "newtons"),
     "s": ("s", "sec", "second", "seconds"),
 }
 OTHER_UNITS = frozenset(
     (
-        *("rad", "radian", "radians", "m", "cm", "in", "inch", "µm", "um", "kn", "nmm", "n·mm"),
-        *("n mm", "lbf", "ms", "min", "-", "1", ""),
+        *("rad", "radian", "radians", "m", "cm", "in", "inch", "inches", "µm", "um", "kn"),
+        *("nmm", "ncm", "knm", "kgm", "kgfm", "kgcm", "kgfcm", "inlb", "inlbf", "lbin", "lbfin"),
+        *("ftlb", "ftlbf", "lbft", "lbfft", "kg", "kgf", "kp", "lb", "lbs", "lbf"),
+        *("ms", "min", "-", "1", ""),
     )
 )
+_TIMES = re.compile(r"(?<=\w)\s*[·⋅•×.*\s-]\s*(?=\w)")
 # A number whose point or comma may be a decimal sign or a thousands separator.
 THOUSAND = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}([ ,.'’\u00a0\u202f][0-9]{3})+([.,][0-9]+)?")
@@ -95,10 +101,12 @@ def opened_text(path: Path) -> TextIO:
     Raises
     ------
     InputError
-        If it is a workbook.
+        If it is a workbook, or packed.
     """
     with path.open("rb") as file:
         start = file.read(LOOKED_AT)
+    if start.startswith(PACKED) or (path.suffix.lower() == ".zip" and start.startswith(WORKBOOK)):
+        raise InputError(path, "", "this is a packed file, not a table of text", "Unpack it.")
     if start.startswith(WORKBOOK):
         why = "this is a workbook, not a table of text"
         raise InputError(path, "", why, "Save its sheet as CSV.")
@@ -115,18 +123,22 @@ def opened_text(path: Path) -> TextIO:
 def unit_of(word: str) -> str | None:
     """The unit that a cell names, as column names spell it; None where it names no unit.
 
-    A unit that no column has is returned in lower case.
+    A unit that no column has is returned in lower case, without what multiplies its factors.
 
     Examples
     --------
-    >>> unit_of("[N·m]"), unit_of("(Degrees)"), unit_of("rad"), unit_of("varus")
-    ('Nm', 'deg', 'rad', None)
+    >>> unit_of("[N·m]"), unit_of("(Degrees)"), unit_of("n.mm"), unit_of("varus")
+    ('Nm', 'deg', 'nmm', None)
     """
-    plain = word.strip().strip("[]()").strip().lower()
+    plain = _TIMES.sub("", _without_brackets(word).lower())
     for unit, names in UNITS.items():
         if plain in names:
             return unit
     return plain if plain in OTHER_UNITS else None
+
+
+def _without_brackets(word: str) -> str:
+    return word.strip().strip("[]()").strip()
 
 
 def is_unit_row(cells: Sequence[str]) -> bool:
@@ -142,11 +154,11 @@ def is_unit_row(cells: Sequence[str]) -> bool:
 
 
 def wrong_unit(columns: Mapping[str, int], cells: Sequence[str]) -> tuple[str, str] | None:
-    """A column whose unit in a row of units is not that of its name, and the unit; else None."""
+    """A column whose unit in a row of units is not that of its name, and the cell; else None."""
     for name, place in columns.items():
         unit, own = unit_of(cells[place]), name.rpartition("_")[2]
         if own in UNITS and unit in {*UNITS, *OTHER_UNITS} - {"-", "1", "", own}:
-            return name, str(unit)
+            return name, _without_brackets(cells[place])
     return None
 
 

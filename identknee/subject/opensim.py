@@ -415,6 +415,7 @@ def _ligament(
 ) -> Ligament:
     name = element.get("name", "")
     slack = model.number(element, "slack_length")
+    stiffness = model.number(element, "linear_stiffness")
     if slack <= 0.0:
         raise model.refusal(
             f"ligament {name}", f"its slack length is {slack:g} m", "Give a positive one."
@@ -428,7 +429,7 @@ def _ligament(
             name=name,
             femur=ends["femur"] * MM_PER_M,
             tibia=ends["tibia"] * MM_PER_M,
-            stiffness_kN=model.number(element, "linear_stiffness") / 1000.0,
+            stiffness_kN=stiffness / 1000.0,
             reference_strain_pct=0.0,
             wrap=obstacle,
         )
@@ -897,7 +898,7 @@ def _forces(bones: Bones) -> Iterator[NotTaken]:
                 yield remark(x, "its path has no points", is_line=True)
             elif ends != {"femur", "tibia"}:
                 yield remark(x, "it does not lead from the femur to the tibia of this knee")
-            elif float((x.findtext("damping_coefficient") or "0").split()[0]):
+            elif bones.model.number_or_zero(x, "damping_coefficient"):
                 yield remark(x, "damping is left out: there is no time", "changed")
         elif "Contact" in x.tag or x.tag in ("ElasticFoundationForce", "HuntCrossleyForce"):
             yield remark(x, CONTACT_OFF if is_off(x) else CONTACT_LAW, "changed")
@@ -936,7 +937,7 @@ def _motion(bones: Bones) -> Iterator[NotTaken]:
         for name in own
     }
     for x in joint.iterfind("coordinates/Coordinate"):
-        default = float((x.findtext("default_value") or "0").split()[0])
+        default = bones.model.number_or_zero(x, "default_value")
         if default:
             said = f"{default:g}{units.get(x.get('name', ''), '')}"
             yield remark(x, f"it is taken as zero, not as its default {said}", "changed")

@@ -187,6 +187,11 @@ class OsimModel:
             raise self._malformed(element, tag, "one number")
         return float(values[0])
 
+    def number_or_zero(self, element: Element, tag: str) -> float:
+        """The first number of a child element; 0 where there is none."""
+        is_there = (element.findtext(tag) or "").strip()
+        return float(self.numbers(element, tag)[0]) if is_there else 0.0
+
     def numbers(self, element: Element, tag: str, default: str | None = None) -> Array:
         """The finite numbers of a child element."""
         text = element.findtext(tag, default)
@@ -330,13 +335,17 @@ class OsimModel:
         )
 
     def _malformed(self, element: Element, tag: str, wanted: str) -> InputError:
-        why = f"<{tag}> must hold {wanted}, got {shown(element.findtext(tag))}"
+        text = element.findtext(tag)
+        why = f"<{tag}> must hold {wanted}, got {shown(text)}"
+        remedy = "Open the model in OpenSim 4 and save it again."
+        if "," in (text or ""):
+            remedy = "Write numbers with decimal points, and spaces between them."
         if element.find(tag) is None:
             why = f"<{tag}> is missing"
         return self.refusal(
             f"{element.tag} {element.get('name', '')}".strip(),
             why,
-            "Open the model in OpenSim 4 and save it again.",
+            remedy,
         )
 
 

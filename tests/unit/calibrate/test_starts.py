@@ -51,6 +51,11 @@ def test_a_knee_without_the_four_is_told_what_is_missing() -> None:
 def test_an_unknown_name_is_told_the_known_ones() -> None:
     with pytest.raises(ValueError, match=r"'IG5'.*subject.*IG1.*\.toml"):
         named_start("IG5", KNEE)
+    for name, meant in (("ig4", "IG4"), ("Subject", "subject"), ("subjct", "subject")):
+        with pytest.raises(ValueError, match=f"did you mean {meant}\\? The starts are"):
+            named_start(name, KNEE)
+    with pytest.raises(ValueError, match="'zz'; the starts are"):
+        named_start("zz", KNEE)
 
 
 def written(folder: Path, text: str) -> Path:

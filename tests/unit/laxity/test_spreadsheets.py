@@ -1,5 +1,7 @@
 """Tables as spreadsheets, data frames and R save them: read, or refused for what is odd."""
 
+import bz2
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +55,7 @@ def plain(tmp_path: Path) -> Laxity:
         text(rows=[UNITS, *ROWS]),
         text(rows=[["units", *(f"[{x}]" for x in UNITS[1:])], *ROWS]),
         text(rows=[["-", "°", "N·m", "(N)", "mm", "degrees"], *ROWS]),
+        text(rows=[["-", "deg", "n.m", "n", "mm", "deg"], *ROWS]),
         text(head=["", *HEAD], rows=[[str(i), *x] for i, x in enumerate(ROWS)]),
         text(head=['""', *HEAD], rows=[[f'"{3 * i + 1}"', *x] for i, x in enumerate(ROWS)]),
         text(head=["Unnamed: 0", *HEAD], rows=[[str(i), *x] for i, x in enumerate(ROWS)]),
@@ -71,12 +74,25 @@ def test_it_is_read_as_the_plain_table(tmp_path: Path, plain: Laxity, content: s
         (text(rows=[["", "rad", "Nm", "N", "mm", "deg"], *ROWS]), "flexion_deg: .* says rad"),
         (text(rows=[["", "deg", "Nm", "N", "m", "deg"], *ROWS]), "distraction_mm: .* says m"),
         (text(rows=[["", "deg", "N", "N", "mm", "deg"], *ROWS]), "varus_moment_Nm: .* says N"),
+        *(
+            (text(rows=[["", "deg", x, "n", "mm", "deg"], *ROWS]), f"varus_moment_Nm: .* says {y}")
+            for x, y in (
+                ("N·mm", "N·mm"),
+                ("n.mm", "n.mm"),
+                ("[nmm]", "nmm"),
+                ("(n * mm)", r"n \* mm"),
+                ("kgf·m", "kgf·m"),
+                ("in-lb", "in-lb"),
+            )
+        ),
         ("Specimen 4,,,,,\n\nleft,,,,,\n" + text(), r"row 1: the column names stand in row 4"),
         (",,loads,,laxity,\n" + text(), r"row 1: the column names stand in row 2"),
         ("x,x,x,y,y,y\n" + text(), r"the column names stand in row 2\. Begin every line above"),
         (text().replace(",", "  "), "separated by spaces"),
         (b"PK\x03\x04\x14\x00\x06\x00", "this is a workbook"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "this is a workbook"),
+        (gzip.compress(text().encode()), r"a\.csv: this is a packed file.*\. Unpack it"),
+        (bz2.compress(text().encode()), "this is a packed file"),
         (b"\xff\xfea\x00\x00\xd8", "not the UTF-16"),
         (cell('"1,447.0"'), "row 2, column varus_deg: .* without a sign for thousands"),
         (cell("1 447.0"), "without a sign for thousands"),

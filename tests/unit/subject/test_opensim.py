@@ -13,7 +13,13 @@ from identknee.runs.declare import Array
 from identknee.runs.errors import InputError
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Knee
-from identknee.subject.opensim import bundle_names, import_opensim, straightened
+from identknee.subject.opensim import (
+    bundle_names,
+    import_opensim,
+    imported_knee,
+    left_out_of,
+    straightened,
+)
 from identknee.subject.reference import reference_knee
 
 SINGLE = 1e-4  # mm; meshes have single precision
@@ -133,6 +139,39 @@ def test_unusable_models(tmp_path: Path, knee: Knee, edit: Callable[[str], str],
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("tag", "value", "where"),
+    [
+        ("slack_length", "0,03162", "Blankevoort1991Ligament ACL"),
+        ("linear_stiffness", "6000,0", "Blankevoort1991Ligament ACL"),
+        ("damping_coefficient", "0,003", "Blankevoort1991Ligament ACL"),
+        ("scale_factors", "1,0 1,0 1,0", "Smith2018ContactMesh femur_mesh"),
+        ("default_value", "0,5", "Coordinate angle"),
+    ],
+)
+def test_a_decimal_comma_is_refused_with_element_and_value(
+    tmp_path: Path, knee: Knee, tag: str, value: str, where: str
+) -> None:
+    path = write_model(tmp_path, knee)
+    text = path.read_text()
+    own = f"<{tag}>{value}</{tag}>"
+    if tag == "default_value":
+        angle = f'<coordinates><Coordinate name="angle">{own}</Coordinate></coordinates>'
+        changed = text.replace("<SpatialTransform>", f"{angle}<SpatialTransform>", 1)
+    elif f"<{tag}>" in text:
+        changed = re.sub(rf"<{tag}>[^<]*</{tag}>", own, text, count=1)
+    else:
+        changed = text.replace("<linear_stiffness>", f"{own}<linear_stiffness>", 1)
+    assert changed != text
+    path.write_text(changed)
+    with pytest.raises(InputError) as caught:
+        left_out_of(imported_knee(path))
+    assert caught.value.where == where
+    assert f"<{tag}>" in caught.value.why
+    assert f"'{value}'" in caught.value.why
+    assert "decimal points" in caught.value.remedy
 
 
 def test_merging_needs_all_four(tmp_path: Path, knee: Knee) -> None:
