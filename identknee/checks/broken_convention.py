@@ -56,6 +56,7 @@ _UNITS = (
     (_MOMENTS, 0.001, "N·mm", "N·m"),
     (_MOMENTS, 0.01, "N·cm", "N·m"),
     (_MOMENTS, 0.112985, "inch-pounds", "N·m"),
+    (_MOMENTS, 9.80665, "kgf·m", "N·m"),
     (_FORCES, 1000.0, "kN", "N"),
     (_FORCES, 4.44822, "pounds", "N"),
     (_FORCES, 9.80665, "kilograms", "N"),
@@ -180,10 +181,9 @@ def _of_columns() -> Iterator[Convention]:
     for columns, factor, unit, wanted in _UNITS:
         said = f"taking {kinds[columns]} for {unit} and converting them to {wanted}"
         yield Convention(what=said, factors=_scaled(columns, factor))
-    single = [(x, unit, factor) for x in _LENGTHS for unit, factor in (("m", 1000.0), ("cm", 10.0))]
-    single += [(x, "radians", 180.0 / np.pi) for x in _ANGLES]
-    for name, unit, factor in single:
-        yield Convention(what=f"taking {name} for {unit}", factors=_scaled((name,), factor))
+    for columns, factor, unit, _ in _UNITS:
+        for name in columns:
+            yield Convention(what=f"taking {name} for {unit}", factors=_scaled((name,), factor))
     yield Convention(what=f"taking {FLEXION} for radians", flexion=180.0 / np.pi)
     for kind in (_LENGTHS, _ANGLES, _MOMENTS, _FORCES):
         for one, other in combinations(kind, 2):
@@ -372,7 +372,7 @@ class _PutRight:
 
     @property
     def removed(self) -> float:
-        """Share of the misfit beyond the noise that it removes."""
+        """Share of the misfit that it removes: of that beyond the noise, where this is known."""
         return self._removed(self.after)
 
     @property
@@ -399,7 +399,8 @@ class _PutRight:
         return self._removed(square) >= REMOVED and chance >= IMPROBABLE
 
     def _removed(self, square: float) -> float:
-        noise = min(square, float(self.table.degrees(self.used)))
+        # A noise that was taken from what is left would say that all else is removed.
+        noise = min(square, float(self.table.degrees(self.used))) if self.noise.is_known else 0.0
         return (self.before - square) / (self.before - noise) if self.before > square else 0.0
 
 

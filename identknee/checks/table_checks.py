@@ -17,7 +17,14 @@ from identknee.laxity.protocol import (
     dominant_loads,
     opposite_pairs,
 )
-from identknee.laxity.table import COORDINATES, ROTATIONS, TRANSLATIONS, Laxity, root_mean
+from identknee.laxity.table import (
+    COORDINATES,
+    ROTATIONS,
+    TRANSLATIONS,
+    WORKS_ON,
+    Laxity,
+    root_mean,
+)
 from identknee.laxity.trial_words import load_words
 from identknee.mechanics.ligament_tensions import line_lengths
 from identknee.model.laxity_model import LaxityModel
@@ -34,14 +41,6 @@ MOST_MM, MOST_DEG = 2.0, 5.0
 # Share of its length in the scan below which a ligament is too short. Some may be, such as the
 # posterior capsule in deep flexion, but not half of all ligaments in half of the trials.
 SHORT = 0.75
-# The coordinate along which each load acts.
-WORKS_ON = (
-    "internal_deg",
-    "varus_deg",
-    "anterior_drawer_mm",
-    "distraction_mm",
-    "lateral_shift_mm",
-)
 # Least difference between the poses under opposite loads that shows their sign [mm, deg].
 LEAST = 2.0
 

@@ -23,6 +23,7 @@ from identknee.laxity.forces import (
     quantity_of,
     write_superposition,
 )
+from identknee.laxity.gaps import gap_findings
 from identknee.laxity.named_tables import TABLES, laxity_file
 from identknee.laxity.protocol import (
     ABSOLUTE,
@@ -102,6 +103,14 @@ OPPOSITE_LOADS = {
     "medial_force_N": "lateral_force_N",
 }
 """Columns of loads of the opposite sign, and the column that each is the negative of."""
+# The coordinate along which each load acts.
+WORKS_ON = (
+    "internal_deg",
+    "varus_deg",
+    "anterior_drawer_mm",
+    "distraction_mm",
+    "lateral_shift_mm",
+)
 OPPOSITE_COORDINATES = {
     "medial_shift_mm": "lateral_shift_mm",
     "posterior_drawer_mm": "anterior_drawer_mm",
@@ -116,6 +125,7 @@ MOST_TURNED_DEG = 400.0
 ANGLE_LIMIT_DEG, LENGTH_LIMIT_MM = 180.0, 200.0
 
 _SD = tuple(f"sd_{column}" for column in COORDINATES)
+_ALONG = tuple(COORDINATES.index(x) for x in WORKS_ON)
 _COLUMNS = ("trial", FLEXION, *LOADS, *COORDINATES, *_SD, "order", "phase", "state")
 
 
@@ -319,6 +329,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
     )
     measured = table[:, loads:coordinates]
     said = statements(file, protocol, measured)
+    gaps = () if is_series else gap_findings(protocol, measured, said.zero, _ALONG)
     sd = table[:, coordinates:]
     if said.translations != COMPONENTS:
         _check_needed(file.path, protocol, measured, said.translations)
@@ -334,7 +345,7 @@ def read_laxity(path: PathLike | Frame, *, is_measured: bool = True) -> Laxity:
         comments=said.comments,
         zero=said.zero,
         is_definition_stated=said.is_definition_stated or is_named,
-        findings=tuple(file.findings),
+        findings=(*file.findings, *gaps),
         **extra,
     )
 

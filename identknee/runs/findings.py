@@ -172,6 +172,16 @@ _ALL = (
         distinct=("column",),
     ),
     FindingKind(
+        code="gap-as-number",
+        severity=WARNING,
+        about=About.DATA,
+        meaning="Cells hold a number that often stands for a missing value and that no knee has: "
+        "-99 among small values, or nothing but 0 under load.",
+        remedy="Leave the cells blank if nothing was measured, or state the trial that others are "
+        "counted from.",
+        distinct=("number",),
+    ),
+    FindingKind(
         code="flexed-under-load",
         severity=INFO,
         about=About.DATA,

@@ -13,12 +13,9 @@ import identknee as ik
 from identknee.checks import broken_convention
 from identknee.checks.broken_convention import conventions_of, find_broken_convention
 from identknee.checks.data_noise import noise_of
-from identknee.checks.table_checks import (
-    WORKS_ON,
-    load_sign_findings,
-)
+from identknee.checks.table_checks import load_sign_findings
 from identknee.laxity.protocol import LOADS, load_protocol
-from identknee.laxity.table import COORDINATES
+from identknee.laxity.table import COORDINATES, WORKS_ON
 from identknee.model.effects.effect import ReadingError, amplitudes
 from identknee.model.effects.library import library
 from identknee.runs.declare import Array
@@ -95,6 +92,60 @@ def test_without_load_curves_it_takes_what_the_better_fit_leaves_for_noise() -> 
     planted = PLANTED["varus_deg in radians"]
     found = find_broken_convention(drawn.model, planted.broken(drawn.laxity), start)
     assert planted.is_named(found)
+
+
+def _divided(laxity: ik.Laxity, column: str, factor: float) -> ik.Laxity:
+    """The table with one column in a unit so many times as large, its noise unstated."""
+    coordinates, loads = np.array(laxity.coordinates), np.array(laxity.protocol.loads)
+    values = coordinates if column in COORDINATES else loads
+    values[:, (*COORDINATES, *LOADS).index(column) % 5] /= factor
+    protocol = replace(laxity.protocol, loads=loads)
+    return replace(laxity, protocol=protocol, coordinates=coordinates, sd=None)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "factor"),
+    [("anterior_drawer_mm", "inches", 25.4), ("internal_moment_Nm", "kgf·m", 9.80665)],
+)
+def test_one_column_in_another_unit_is_named(column: str, unit: str, factor: float) -> None:
+    model, laxity = clean_table("reference", 4, noise=0.3, protocol=load_protocol("table2"))
+    broken = _divided(laxity, column, factor)
+    model = model.with_protocol(broken.protocol)
+    found = find_broken_convention(model, broken, model.parameters.start)
+    assert found is not None
+    assert (found.what, found.others) == (f"taking {column} for {unit}", ())
+    assert max(found.mm_after, found.deg_after) < 0.35
+
+
+def test_a_correction_that_leaves_more_than_the_noise_does_not_claim_to_remove_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where no noise is known, what is left counts as misfit: 3 times the noise is not none."""
+    model, laxity = clean_table("reference", 4, noise=0.3, protocol=load_protocol("table2"))
+    broken = _divided(laxity, "anterior_drawer_mm", 25.4)
+    known = [x for x in conventions_of(broken) if "inches" not in x.what]
+    monkeypatch.setattr(broken_convention, "conventions_of", lambda *_: known)
+    found = find_broken_convention(model, broken, model.parameters.start)
+    assert found is None or found.removed < 0.9
+    assert found is None or found.mm_after > 0.6
+
+
+def test_every_unit_is_tried_for_all_columns_of_a_kind_and_for_each() -> None:
+    _, laxity = clean_table("reference", 4, noise=0.3, protocol=load_protocol("table2"))
+    said = {x.what: np.array(x.factors) for x in conventions_of(laxity)}
+    names = (*COORDINATES, *LOADS)
+    for kind, unit, factor, columns in (
+        ("lengths", "inches", 25.4, COORDINATES[:3]),
+        ("angles", "radians", 180.0 / np.pi, COORDINATES[3:]),
+        ("moments", "N·mm", 0.001, LOADS[:2]),
+        ("moments", "kgf·m", 9.80665, LOADS[:2]),
+        ("forces", "kilograms", 9.80665, LOADS[2:]),
+    ):
+        (whole,) = (x for x in said if x.startswith(f"taking {kind} for {unit} "))
+        np.testing.assert_allclose(said[whole], [factor if x in columns else 1.0 for x in names])
+        for column in columns:
+            own = said[f"taking {column} for {unit}"]
+            np.testing.assert_allclose(own, [factor if x == column else 1.0 for x in names])
 
 
 @pytest.mark.parametrize(
