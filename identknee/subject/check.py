@@ -12,6 +12,7 @@ from identknee.mechanics.pose import angles_of
 from identknee.runs.declare import Array, IntArray, declared, entry
 from identknee.runs.findings import Finding, Severity, by_severity, finding
 from identknee.runs.triangles import lengths, longest_sides, side_names
+from identknee.runs.words import listed_first
 from identknee.subject.femoral_distance import distance_to_femur
 from identknee.subject.knee import (
     Knee,
@@ -41,8 +42,10 @@ BELOW = 5.0
 # Insertions farther than this from the articular surface of their bone [mm] are no knee's. Those of
 # the subjects that come with identknee lie up to 25 mm from it on the femur, 62 mm on the tibia.
 FARTHEST_INSERTION = {"femur": 60.0, "tibia": 110.0}
-# Cruciates insert further in than this, in half the distance of the plateaus.
-BETWEEN_PLATEAUS = 0.9
+# Cruciates insert further in than this, in half the distance of the plateaus, and run forwards or
+# backwards by more than this share of their length; the posterior capsule does not.
+BETWEEN_PLATEAUS, RUNS = 0.9, 0.25
+MOST_LISTED = 3
 # Plausible size of the femoral surface and length of a ligament [mm].
 FEMUR_EXTENT = (40.0, 200.0)
 LIGAMENT_LENGTH = (5.0, 200.0)
@@ -344,24 +347,29 @@ def _mirrored_ligaments(knee: Knee) -> Iterator[GeometryFinding]:
     inside = BETWEEN_PLATEAUS * abs((knee.tibia[0].centroid - middle) @ lateral)
 
     def runs(ligament: Ligament) -> float:
-        return float((ligament.tibia - ligament.femur) @ anterior)
+        return float((ligament.tibia - ligament.femur) @ anterior) / ligament.length
 
     between = [
         x
         for x in knee.ligaments
         if max(abs((x.femur - middle) @ lateral), abs((x.tibia - middle) @ lateral)) < inside
     ]
-    forwards, backwards = max(between, key=runs, default=None), min(between, key=runs, default=None)
-    if forwards is None or backwards is None or not runs(forwards) > 0.0 > runs(backwards):
+    forwards = [x for x in between if runs(x) > RUNS]
+    backwards = [x for x in between if runs(x) < -RUNS]
+    if not (forwards and backwards):
         return
-    off = float((backwards.femur - forwards.femur) @ lateral)
+    # Means, since in deep flexion lines of the capsule run as steeply as cruciates do.
+    front, back = (np.mean([x.femur for x in own], axis=0) for own in (forwards, backwards))
+    off = float((back - front) @ lateral)
     if off > WRONG_BY:
         other = "left" if knee.side == "right" else "right"
+        names = [tuple(x.name for x in own) for own in (forwards, backwards)]
+        first, second = (listed_first(x, MOST_LISTED) for x in names)
         sentence = (
-            f"{forwards.name}, which runs forwards, comes {off:.0f} mm further medially from the "
-            f"femur than {backwards.name}, which runs backwards, as in a {other} knee."
+            f"What runs forwards from the femur ({first}) begins {off:.0f} mm further medially "
+            f"than what runs backwards ({second}), as in a {other} knee."
         )
-        values = {"forwards": forwards.name, "backwards": backwards.name, "off_mm": off}
+        values = {"forwards": names[0], "backwards": names[1], "off_mm": off}
         yield geometry_finding("ligaments-mirrored", "ligaments", sentence, values)
 
 

@@ -14,9 +14,11 @@ from identknee.runs.declare import Array, IntArray
 from identknee.runs.errors import InputError
 from identknee.runs.findings import Severity
 from identknee.subject import femoral_distance
+from identknee.subject.anatomy import anatomy
 from identknee.subject.check import GeometryFinding, check_geometry, fatal_geometry_findings
 from identknee.subject.folder import example, read_subject, write_subject
 from identknee.subject.knee import Frame, Knee, Landmark, Side
+from identknee.subject.opensim import import_opensim
 from identknee.subject.reference import reference_knee
 from identknee.subject.surface import Surface, joined
 
@@ -317,9 +319,26 @@ def test_insertions_of_the_other_side_are_named_whatever_ligaments_are_called(
     (found,) = fatal_geometry_findings(mirrored)
     assert (found.code, found.where) == ("ligaments-mirrored", "ligaments")
     ends = ("PCL", "ACL") if plane[0] < 0.0 else ("ACL", "PCL")
-    assert found.values["forwards"] == cruciates[ends[0]]
-    assert found.values["backwards"] == cruciates[ends[1]]
+    assert list(found.values["forwards"]) == [cruciates[ends[0]]]
+    assert list(found.values["backwards"]) == [cruciates[ends[1]]]
     assert found.values["off_mm"] == pytest.approx(off)
+
+
+def test_a_flexed_scan_is_not_taken_for_a_knee_of_the_other_side() -> None:
+    """At -15 deg, and at 140 deg where lines of the posterior capsule cross as cruciates do."""
+    for knee in (example("s192803_bundles"), import_opensim("lenhart2015")):
+        sites = anatomy(knee)
+        middle = (sites.medial.condyle_centre + sites.lateral.condyle_centre) / 2.0
+        axis = sites.lateral.condyle_centre - sites.medial.condyle_centre
+        for flexion, turn in ((-15.0, 20.0), (60.0, 0.0), (140.0, 0.0), (140.0, -20.0)):
+            about = np.radians(flexion) * axis / np.linalg.norm(axis)
+            across = Rotation.from_rotvec(np.radians(turn) * knee.tibia_frame.axes[1])
+            rotation = (across * Rotation.from_rotvec(about)).as_matrix()
+            lines = [
+                replace(x, femur=middle + rotation @ (x.femur - middle), wrap=None)
+                for x in knee.ligaments
+            ]
+            assert fatal_geometry_findings(knee.with_ligaments(lines)) == ()
 
 
 def test_one_ligament_upside_down_is_named(knee: Knee) -> None:
