@@ -6,11 +6,22 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import identknee as ik
-from identknee.laxity.protocol import FLEXION, LOADS
+from identknee.identify.profile.result import ProfileVerdict
+from identknee.laxity.protocol import (
+    BUILT_IN,
+    FLEXION,
+    FLEXION_DEG,
+    LOADS,
+    WAYS,
+    candidate_trials,
+)
 from identknee.laxity.table import COORDINATES, PHASES
+from identknee.report.answers.profile import PROFILE_WORDS
+from identknee.report.presenter import open_ends_text
 from identknee.runs.findings import KINDS
 from identknee.verbs.registry import verbs
 
@@ -135,6 +146,15 @@ def test_columns_of_the_laxity_table_are_those_that_are_read() -> None:
     assert all(f"`{phase}`" in text for phase in PHASES)
 
 
+def test_the_glossary_has_every_verdict_of_a_profile_as_it_is_shown() -> None:
+    text = page("glossary.md").split("**Verdict of a profile.**")[1].split("\n**")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+) \|", text, re.MULTILINE))
+    assert list(rows) == [x.value for x in ProfileVerdict]
+    open_ends = ", ".join(open_ends_text(*x) for x in ((1.0, None), (None, 1.0)))
+    for verdict in ProfileVerdict:
+        assert rows[verdict.value] == PROFILE_WORDS.get(verdict, open_ends)
+
+
 def test_extras_are_those_that_can_be_installed() -> None:
     text = page("quick_start.md").split("## Extras")[1]
     named = set(re.findall(r"^\| `(\w+)`(?:, `(\w+)`)? \|", text, re.MULTILINE))
@@ -157,6 +177,36 @@ def test_every_study_gets_a_page_without_a_picture_that_is_not_there(
     assert "`records/record.json`" in made
     listed = (tmp_path / "pages" / "index.md").read_text(encoding="utf-8")
     assert "01_question/README" in listed
+
+
+def test_built_in_protocols_are_as_the_page_says() -> None:
+    text = page("conventions.md").split("## Protocols")[1].split("Each has one unloaded")[0]
+    said: dict[str, list[list[str]]] = {}
+    for line in text.splitlines():
+        cells = [x.strip() for x in line.strip("| ").split(" | ")]
+        if found := re.match(r"\| `(\w+)` \|", line):
+            said[found[1]] = [cells[1:]]
+        elif line.startswith("| | |"):
+            next(reversed(said.values())).append(["", *cells[-3:]])
+    assert tuple(said) == BUILT_IN
+    for name, rows in said.items():
+        protocol = ik.load_protocol(name)
+        assert int(rows[0][0]) == protocol.n
+        assert (np.count_nonzero(protocol.loads, axis=1) <= 1).all()
+        assert int(protocol.is_unloaded.sum()) == np.unique(protocol.flexion_deg).size
+        for way, (positive, negative, kind) in enumerate(WAYS):
+            for word, sign in ((positive, 1.0), (negative, -1.0)):
+                is_own = sign * protocol.loads[:, way] > 0.0
+                own = [x for x in rows if re.search(rf"\b{word}\b", x[1])]
+                angles = {float(y) for x in own for y in x[2].split(", ")}
+                assert angles == set(protocol.flexion_deg[is_own]), (name, word)
+                if own:
+                    unit = "N·m" if kind == "moment" else "N"
+                    largest = np.abs(protocol.loads[is_own, way]).max()
+                    assert f"{largest:g} {unit}" in own[0][1], (name, word)
+    usual = candidate_trials(ik.load_protocol("drawer"), [90.0])
+    assert int((usual.flexion_deg == 90.0).sum()) == 23
+    assert tuple(range(0, 121, 15)) == FLEXION_DEG
 
 
 def test_the_protocol_of_the_page_is_read_as_it_says(tmp_path: Path) -> None:
