@@ -669,6 +669,9 @@ def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candida
     """The changes worth a fit, the most promising first, and the number of changes compared."""
     found: list[_Candidate] = []
     seen: list[Laxity] = []
+    # Loads read in another unit may have driven the start to where trials have an equilibrium.
+    own = as_is.model.parameters.center
+    begins = (start, theta) if np.array_equal(own, start) else (start, own, theta)
     for convention in conventions_of(as_is.laxity, as_is.model.tied.names):
         changed = convention.applied(as_is.laxity)
         if changed is None or any(_is_same(changed, x) for x in seen):
@@ -678,7 +681,7 @@ def _promising(as_is: _Table, start: Array, theta: Array) -> tuple[list[_Candida
         noise = table.noise_at(start)
         if not noise.is_known:
             noise = replace(noise, sd=np.where(table.measured, 1.0, np.nan))
-        linear = [(table.linearised(x, noise)[0], x) for x in table.beginnings(start, theta)]
+        linear = [(table.linearised(x, noise)[0], x) for x in table.beginnings(*begins)]
         promised, begin = min(linear, key=lambda x: x[0])
         here = min(as_is.square(theta, noise.sd), as_is.linearised(theta, noise)[0])
         if promised <= PROMISED * here:

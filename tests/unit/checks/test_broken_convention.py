@@ -117,6 +117,16 @@ def test_one_column_in_another_unit_is_named(column: str, unit: str, factor: flo
     assert max(found.mm_after, found.deg_after) < 0.35
 
 
+def test_loads_in_another_unit_are_named_from_where_they_drove_the_fit() -> None:
+    # Stiffnesses at their upper bounds: under 45 N·m the subject's own have no equilibrium.
+    stuck = np.array([40.0, 40.0, 40.0, 40.0, 15.0, 3.0, 6.0, 7.0])
+    model, laxity = clean_table("reference", 4, noise=0.3, protocol=load_protocol("table2"))
+    broken = _divided(laxity, "internal_moment_Nm", 0.112985)
+    found = find_broken_convention(model.with_protocol(broken.protocol), broken, stuck, stuck)
+    assert found is not None
+    assert found.what == "taking internal_moment_Nm for inch-pounds"
+
+
 def test_a_correction_that_leaves_more_than_the_noise_does_not_claim_to_remove_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
