@@ -102,6 +102,7 @@ def test_the_equivalent_sets_reach_as_far(summaries: Summaries) -> None:
             assert theirs[key] == pytest.approx(mine[key], rel=SAME), name
 
 
+@pytest.mark.slow
 def test_the_searches_end_alike(summaries: Summaries) -> None:
     here, there = summaries("sweep")
     assert there["polished_outcomes"] == here["polished_outcomes"]

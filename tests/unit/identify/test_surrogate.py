@@ -85,7 +85,7 @@ def test_a_model_that_no_quadratic_follows_has_no_surrogate() -> None:
 )
 def test_the_sample_is_of_the_exact_posterior(ripple: float, waves: float) -> None:
     """Of a good surrogate and of a poor one: moments by another kind of moves agree."""
-    rule = StopRule(drift=np.inf, budget=8_000)
+    rule = StopRule(drift=np.inf, budget=5_000)
     problem = bowl(ripple=ripple, waves=waves)
     found, other = (
         sample(problem, ensembles=Ensembles(moves=x, n_prior=0), rule=rule, seed=1)
