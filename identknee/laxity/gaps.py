@@ -17,7 +17,7 @@ LEAST = 3
 # Probability below which zeros under load did not come about by rounding.
 IMPROBABLE = 1e-3
 MOST_LISTED = 3
-# Most decimals that are told from none, and how far a rounded number may be off in its last one.
+# Most decimals that are looked for, and how far a rounded number may be off in its last one.
 MOST_DECIMALS, ROUNDED = 6, 1e-3
 
 

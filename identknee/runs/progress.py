@@ -198,7 +198,7 @@ def stage(description: str) -> Iterator[None]:
 
 @contextmanager
 def whole_stage(description: str) -> Iterator[None]:
-    """One piece of `planned` work that is not told in parts, whatever is counted within it."""
+    """One piece of `planned` work whose parts are not shown."""
     with stage(description):
         _plans.append(_Plan({}, Advance()))
         try:

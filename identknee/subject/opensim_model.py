@@ -189,8 +189,8 @@ class OsimModel:
 
     def number_or_zero(self, element: Element, tag: str) -> float:
         """The first number of a child element; 0 where there is none."""
-        is_there = (element.findtext(tag) or "").strip()
-        return float(self.numbers(element, tag)[0]) if is_there else 0.0
+        text = (element.findtext(tag) or "").strip()
+        return float(self.numbers(element, tag)[0]) if text else 0.0
 
     def numbers(self, element: Element, tag: str, default: str | None = None) -> Array:
         """The finite numbers of a child element."""

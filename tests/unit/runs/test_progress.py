@@ -192,7 +192,7 @@ def test_a_plan_is_told_what_will_not_be_done_and_never_goes_back(
             pass
     shares = [x[0] for x in bar.told]
     assert shares == sorted(shares)
-    # What is counted within a whole stage is not told.
+    # What is counted within a whole stage is not shown.
     assert len(shares) == 8
 
 

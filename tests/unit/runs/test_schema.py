@@ -138,7 +138,7 @@ def test_a_windows_path_between_double_quotes_is_named_with_its_line(
     assert (caught.value.path, caught.value.where) == (str(path), "line 3")
     assert f'"{within}"' in caught.value.why
     assert caught.value.remedy == BACKSLASH
-    # Between single quotes, or with slashes, all is well; other faults are told as they were.
+    # Between single quotes, or with slashes, all is well; other faults are reported as they were.
     path.write_text("a = 'C:\\Users\\x.ply'\nb = \"C:/Users/x.ply\"")
     assert read_toml(path) == {"a": "C:\\Users\\x.ply", "b": "C:/Users/x.ply"}
     path.write_text("a = 'C:\\Users'\nb = ")
