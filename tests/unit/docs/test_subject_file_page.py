@@ -59,7 +59,7 @@ def tables_in(given: Any, where: str) -> Iterator[tuple[str, type[Part] | None]]
 def keys_read(table: type[Part], where: str = "") -> Iterator[tuple[str, str, set[str], str]]:
     """Place, key, forms and default of all that the reader accepts."""
     for key, field in table.model_fields.items():
-        default = field.get_default(call_default_factory=True)  # type: ignore[call-arg]
+        default = field.default
         said = "none"
         if field.is_required():
             said = "required"
