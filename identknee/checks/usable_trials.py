@@ -246,11 +246,15 @@ def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0)
     """
     if model.poses is None:
         return sobol_around(model.parameters, start, n, reach=REACH, seed=seed)
-    around = sobol_around(model.parameters, start, n - n // 2, reach=REACH, seed=seed)
+    by_stretch = n // 2
+    around = sobol_around(model.parameters, start, n - by_stretch, reach=REACH, seed=seed)
+    if not by_stretch:
+        return around
     nuisances = ~model.parameters.is_of_interest
     middle = np.where(nuisances, model.parameters.start, start)
     points = np.empty((n, model.parameters.n))
-    points[::2], points[1::2] = around, starts_by_stretch(model, middle, n // 2, seed=seed)
+    points[::2] = around
+    points[1::2] = starts_by_stretch(model, middle, by_stretch, seed=seed)
     return points
 
 

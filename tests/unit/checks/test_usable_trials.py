@@ -8,7 +8,12 @@ import pytest
 from small_knee import as_read, small_knee
 
 import identknee as ik
-from identknee.checks.usable_trials import TrialSearch, knee_with_equilibria, starts_by_stretch
+from identknee.checks.usable_trials import (
+    TrialSearch,
+    knee_with_equilibria,
+    starts_by_stretch,
+    starts_elsewhere,
+)
 from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.table import Laxity, write_laxity
 from identknee.model.effects.library import effect_named
@@ -238,3 +243,13 @@ def test_a_stated_noise_weighs_as_columns_of_the_table_do() -> None:
     columns = ik.fit(small_knee(), replace(table, sd=sd), weighting="noise", budget=20)
     np.testing.assert_array_equal(stated.theta, columns.theta)
     assert stated.objective != ik.fit(small_knee(), table, budget=20).objective
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_starts_elsewhere_are_as_many_as_asked_for(n: int) -> None:
+    laxity = as_read()
+    model = LaxityModel(knee=small_knee(), protocol=laxity.protocol).with_tests(laxity)
+    assert model.poses is not None
+    starts = starts_elsewhere(model, model.parameters.start, n)
+    assert starts.shape == (n, model.parameters.n)
+    assert len({tuple(x) for x in starts.tolist()}) == n
