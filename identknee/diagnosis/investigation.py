@@ -326,7 +326,7 @@ def work_from_poses(*, is_repeated: bool) -> dict[str, list[float]]:
     # many parameters there are, equilibria take most of the time.
     return {
         "fitting the knee": [0.5],
-        LOOKING_LOWER: [1.0] + [0.6] * len(REACH_OF_HOPS),
+        LOOKING_LOWER: [2.4] + [0.9] * len(REACH_OF_HOPS),
         "scoring causes": [0.06] * 2,
         "trying causes": [0.02] * 8,
         "fitting causes": [SIMPLE] * 8,

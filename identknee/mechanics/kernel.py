@@ -81,6 +81,8 @@ def write_state(state, results, n):
 # may be (1e-9 mm), and the Hessian is right to 1e-6.
 RESIDUAL_TOLERANCE = 3e-6
 LAST_STEP = 3e-7
+# mm; of an equilibrium on the way to that of a released knee, which is not kept.
+LAST_STEP_ON_THE_WAY = 0.02
 EXPANSION_REACH = 1.0  # mm; farther away contact is not what its expansion says
 EXPANSION_ERROR = 0.01  # 1/mm; of a minimum found so far from where the expansion is exact, squared
 SETTLED = 1e-8  # mm; a Newton step as short leaves nothing above rounding
@@ -141,7 +143,7 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
         is_settled = shift == 0.0 and length < max(SETTLED, EXPANSION_ERROR * away * away)
         if is_settled or (k == 0 and (not is_expanded or far > EXPANSION_REACH)):
             copy(candidate.pose, trial.pose)
-            return energy - lowest + lower, far, shift == 0.0 and length < SETTLED
+            return energy - lowest + lower, far, is_settled
         if k > 0 and far > min(radius, EXPANSION_REACH):
             break
         found = evaluate_near(
@@ -159,12 +161,13 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
 
 
 @compiled
-def find_minimum(flexion, point, load, farthest, contact, field, ligaments, work):
+def find_minimum(flexion, point, load, farthest, last_step, contact, field, ligaments, work):
     """Move a point to a minimum of the energy; return (outcome, residual).
 
     Each step goes to the minimum of the energy with the contact expanded where the last one ended,
     inside a trust region on the energy itself. `farthest` [mm] ends the search when the pose moves
-    farther than that from where it began.
+    farther than that from where it began; it has converged where a step is shorter than `last_step`
+    [mm].
     """
     evaluation, solver = work.evaluation, work.solver
     L, trial, start = solver.factor, solver.trial, solver.start
@@ -178,7 +181,7 @@ def find_minimum(flexion, point, load, farthest, contact, field, ligaments, work
         promised, length, is_lowest = descend(
             flexion, point, energy, radius, load, contact, field, ligaments, work
         )
-        if residual < RESIDUAL_TOLERANCE or (is_lowest and length < LAST_STEP):
+        if residual < RESIDUAL_TOLERANCE or (is_lowest and length < last_step):
             copy_point(trial, point)
             return CONVERGED, residual
         rounding = rounding_of(energy)
@@ -272,7 +275,7 @@ def follow(segment, guess, guessed, contact, field, ligaments, work):
                 load[i] = segment.load_before[i] + goal * change[i]
             angle = segment.flexion_before + goal * flexion_change
             outcome, residual = find_minimum(
-                angle, there, load, LARGEST_MOVE, contact, field, ligaments, work
+                angle, there, load, LARGEST_MOVE, LAST_STEP, contact, field, ligaments, work
             )
             solves += 1
             tangent(there, change, flexion_change, L, right)
@@ -319,7 +322,7 @@ def release(flexion, load, farthest, contact, field, ligaments, work):
         copy(placed.held_at, here.pose)
         placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
         outcome, residual = find_minimum(
-            flexion, here, load, farthest, contact, field, ligaments, work
+            flexion, here, load, farthest, LAST_STEP_ON_THE_WAY, contact, field, ligaments, work
         )
         solves += 1
         if outcome == CONVERGED:
@@ -344,7 +347,7 @@ def release(flexion, load, farthest, contact, field, ligaments, work):
     begun = path.kept_at[k]
     copy(path.kept[k], here.pose)
     placed.hold = HALF_RELEASED * (1.0 / begun - 1.0)
-    find_minimum(flexion, here, load, LARGEST_MOVE, contact, field, ligaments, work)
+    find_minimum(flexion, here, load, LARGEST_MOVE, LAST_STEP, contact, field, ligaments, work)
     _, reached, residual, more = follow_release(
         flexion, begun, max(begun, HOLDS[k]), load, contact, field, ligaments, work
     )
@@ -375,8 +378,9 @@ def follow_release(flexion, begun, goal, load, contact, field, ligaments, work):
             for i in range(5):
                 there.pose[i] = here.pose[i] + share * here.tangent[i]
             placed.hold = HALF_RELEASED * (1.0 / place - 1.0)
+            last_step = LAST_STEP if place == goal else LAST_STEP_ON_THE_WAY
             outcome, residual = find_minimum(
-                flexion, there, load, LARGEST_MOVE, contact, field, ligaments, work
+                flexion, there, load, LARGEST_MOVE, last_step, contact, field, ligaments, work
             )
             solves += 1
             release_tangent(there, place, placed, work.solver)
@@ -470,7 +474,7 @@ def simulate_path(
         elif before < 0:
             copy(starts[n], here.pose)
             outcome, results.residuals[n] = find_minimum(
-                angle, here, load, nodes.farthest, contact, field, ligaments, work
+                angle, here, load, nodes.farthest, LAST_STEP, contact, field, ligaments, work
             )
             results.reached[n] = 1.0
             results.solves[n] = 1

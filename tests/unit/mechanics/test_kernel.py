@@ -18,7 +18,13 @@ from tolerances import RESIDUAL_N, SAME_POSE
 
 from identknee.mechanics import kernel
 from identknee.mechanics.equilibria import workspace
-from identknee.mechanics.kernel import find_minimum, leaves_branch, sensitivities, tangent
+from identknee.mechanics.kernel import (
+    LAST_STEP,
+    find_minimum,
+    leaves_branch,
+    sensitivities,
+    tangent,
+)
 from identknee.mechanics.memory import (
     CONVERGED,
     FOLD,
@@ -60,7 +66,7 @@ class Search:
     def minimum(self, start: Array, farthest: float = 1e9) -> tuple[int, float, Array]:
         self.state.pose[:] = start
         outcome, residual = find_minimum(
-            self.flexion, self.state, self.load, farthest, *self.arrays, self.work
+            self.flexion, self.state, self.load, farthest, LAST_STEP, *self.arrays, self.work
         )
         return outcome, residual, np.array(self.state.pose)
 
