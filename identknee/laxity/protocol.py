@@ -449,7 +449,7 @@ def range_fault(column: str, value: float) -> tuple[str, str] | None:
         why = f"a flexion of {value:g} deg lies outside {low:g} to {high:g} deg"
         return why, "Give the flexion angle in degrees, 0 in extension."
     if column.endswith("_Nm"):
-        remedy = "If it is in N·mm, divide it by 1000."
+        remedy = "Divide it by 1000 if it is in N·mm, by 100 if in N·cm, by 8.85 if in inch-pounds."
         return beyond("a moment", value, MOMENT_LIMIT_NM, "N·m", remedy)
     return beyond("a force", value, FORCE_LIMIT_N, "N", "Check its unit: forces are given in N.")
 

@@ -123,7 +123,7 @@ RAMP = '[[ramps]]\nflexion_deg = [0]\nload = "varus_moment_Nm"\nvalues = [1]\n'
             "format = 1\n" + RAMP.replace("[1]", "[10000]"),
             (
                 "[[ramps]] block 1, values: a moment of 10000 N·m is beyond 50 N·m either way. "
-                "If it is in N·mm, divide it by 1000."
+                "Divide it by 1000 if it is in N·mm, by 100 if in N·cm, by 8.85 if in inch-pounds."
             ),
         ),
         (
@@ -238,7 +238,7 @@ def test_concatenate_keeps_shared_trials_once() -> None:
 @pytest.mark.parametrize(
     ("flexion", "load", "words"),
     [
-        (30, 10000, "trial 'a', varus_moment_Nm: a moment of 10000 N·m .* N·mm, divide it by 1000"),
+        (30, 10000, "trial 'a', varus_moment_Nm: a moment of 10000 N·m .* Divide it by 1000 if it is in N·mm"),
         (170, 5, "outside -10 to 160 deg"),
         (30, np.nan, "nan is not a finite number"),
     ],

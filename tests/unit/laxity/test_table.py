@@ -184,7 +184,8 @@ def test_equal_loads_are_replicates_and_zero_can_be_unloaded(tmp_path: Path) -> 
             "a,30,10000,1,1",
             (
                 ", row 2, column varus_moment_Nm: a moment of 10000 N·m is beyond 50 N·m either "
-                "way. If it is in N·mm, divide it by 1000."
+                "way. Divide it by 1000 if it is in N·mm, by 100 if in N·cm, by 8.85 if in "
+                "inch-pounds."
             ),
         ),
         (
