@@ -240,22 +240,16 @@ class TrialSearch:
 
 
 def starts_elsewhere(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:
-    """Starts of further searches, shape ``(n, p)``: around the start, and by stretch.
+    """Starts of further searches, shape ``(n, p)``: around the start, or by stretch.
 
-    They are of both kinds in turn if the model begins at measured poses, else all around the start.
+    They are by stretch if the model begins at measured poses. Of 128 such starts of the measured
+    knee with bundles, 4 led to its lowest fits, and none of 128 around the start.
     """
     if model.poses is None:
         return sobol_around(model.parameters, start, n, reach=REACH, seed=seed)
-    by_stretch = n // 2
-    around = sobol_around(model.parameters, start, n - by_stretch, reach=REACH, seed=seed)
-    if not by_stretch:
-        return around
     nuisances = ~model.parameters.is_of_interest
     middle = np.where(nuisances, model.parameters.start, start)
-    points = np.empty((n, model.parameters.n))
-    points[::2] = around
-    points[1::2] = starts_by_stretch(model, middle, by_stretch, seed=seed)
-    return points
+    return starts_by_stretch(model, middle, n, seed=seed)
 
 
 def starts_by_stretch(model: LaxityModel, start: Array, n: int, *, seed: int = 0) -> Array:

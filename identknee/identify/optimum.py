@@ -20,9 +20,10 @@ from identknee.runs.executors import Executor, serial
 from identknee.runs.record import Outcome
 
 N_STARTS = 16
-# From points in groups of `N_STARTS` searches begin until `N_ALIKE` have ended at the lowest end.
-# Verbs give this many points.
-N_ALIKE, MOST_STARTS = 3, 64
+# From points in groups of `N_STARTS` searches begin until `N_ALIKE` have ended at the lowest end: a
+# lower one to which as many starts lead is missed once in 2^N_ALIKE. Verbs give MOST_STARTS points:
+# one start in 32 leads to the lowest fits of the measured knee with bundles.
+N_ALIKE, MOST_STARTS = 4, 64
 # How many prior standard deviations around the subject's values the other starts lie in.
 REACH = 2.0
 # Of several brief fits the lowest that go on: where they end is not the order in which they began.
@@ -103,7 +104,7 @@ def with_fits_from(
 ) -> tuple[Fit, ...]:
     """A fit and those from other points, from low to high.
 
-    The points are taken in groups of sixteen, until three searches have ended at the lowest end:
+    The points are taken in groups of sixteen, until four searches have ended at the lowest end:
     then it is unlikely that a lower one was missed [1]_. With a budget the searches are brief, and
     hops follow, see `with_hops`. Where the lowest leaves many times what noise would, others begin
     with one stiffness nearly gone: no search finds its way to a torn ligament from a whole one.

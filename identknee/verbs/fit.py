@@ -334,7 +334,7 @@ def _optima(model: LaxityModel, fits: Sequence[Fit], scale: float) -> tuple[Opti
 def _origin(best: Fit, start: Array) -> str:
     if np.array_equal(best.start, start):
         return "the given start"
-    return "another start: Sobol points around the given one, and by the stretch of ligaments"
+    return "another start: one of the Sobol points, or a hop from where another search ended"
 
 
 def _scale(trials: TrialSearch, laxity: Laxity, found: Fit) -> float:
@@ -486,9 +486,10 @@ def fit(
     more_starts: Annotated[
         int,
         option(
-            "At most so many further searches by least squares, from points around the start; the "
-            "lowest end is the fit. They begin in groups of 16 until three have ended there. 0 for "
-            "the search from the start alone.",
+            "At most so many further searches by least squares, from points around the start or, "
+            "from measured poses, by the stretch of ligaments; the lowest end is the fit. They "
+            "begin in groups of 16 until four have ended there. 0 for the search from the start "
+            "alone.",
             least=0,
         ),
     ] = MOST_STARTS,
