@@ -40,6 +40,7 @@ from .subject.reference import reference_knee as reference_knee
 from .verbs.demo import demo as demo
 from .verbs.design import Design as Design
 from .verbs.design import design as design
+from .verbs.diagnose import diagnose as diagnose
 from .verbs.diagnosis import Diagnosis as Diagnosis
 from .verbs.equivalents import Equivalents as Equivalents
 from .verbs.equivalents import equivalents as equivalents
@@ -48,7 +49,6 @@ from .verbs.fit import Calibration as Calibration
 from .verbs.fit import fit as fit
 from .verbs.information import LocalIdentifiability as LocalIdentifiability
 from .verbs.information import information as information
-from .verbs.isolability import diagnose as diagnose
 from .verbs.isolability import isolability as isolability
 from .verbs.profile import Profiles as Profiles
 from .verbs.profile import profile as profile

@@ -178,7 +178,7 @@ def no_conventions(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _without_conventions(patch: pytest.MonkeyPatch) -> None:
-    for module in ("checks.fit_checks", "verbs.diagnosis"):
+    for module in ("checks.fit_checks", "verbs.diagnose"):
         patch.setattr(f"identknee.{module}.convention_findings", lambda *_: ())
 
 

@@ -1,24 +1,18 @@
 """Detectable and isolable causes under a protocol, before any data."""
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Unpack, overload
+from collections.abc import Mapping
+from typing import Annotated, Unpack
 
-from identknee.calibrate.fit import StartLike
 from identknee.diagnosis.advice import ROOT, protocol_isolability
 from identknee.diagnosis.candidates import Detectability
 from identknee.diagnosis.score import LEAST_DISTANCE
-from identknee.laxity.table import TrialsLike, read_trials
-from identknee.model.effects.effect import Effect
+from identknee.laxity.table import read_trials
 from identknee.runs.declare import Array, array, declared, entry
 from identknee.runs.errors import NotComputable
-from identknee.runs.files import PathLike
-from identknee.subject.knee import UncertainLike
-from identknee.subject.plausibility import PlausibleLike
 from identknee.verbs import options
 from identknee.verbs.answer import Answer
-from identknee.verbs.diagnosis import Diagnosis, diagnose_data
-from identknee.verbs.options import documented, option, trials_option
-from identknee.verbs.values import AdvisedTrial, NoiseLike, advised, noise_of
+from identknee.verbs.options import option
+from identknee.verbs.values import AdvisedTrial, advised, noise_of
 from identknee.verbs.verb import Run, verb, warm_up
 
 
@@ -122,102 +116,4 @@ def isolability(
         distances=found.distances.values[:, order],
         root_noncentrality=ROOT,
         least_distance=LEAST_DISTANCE,
-    )
-
-
-@overload
-def diagnose(
-    subject: options.SubjectLike,
-    data: options.LaxityLike,
-    *,
-    protocol: None = None,
-    noise: NoiseLike = None,
-    uncertain: UncertainLike = None,
-    start: StartLike = "subject",
-    effects: Sequence[Effect] | None = None,
-    priors: bool | None = None,
-    keep: Sequence[str] | None = None,
-    leave_out: Sequence[str] | None = None,
-    plausible: PlausibleLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: options.Workers = 1,
-) -> Diagnosis: ...
-@overload
-def diagnose(
-    subject: options.SubjectLike,
-    data: None = None,
-    *,
-    protocol: TrialsLike,
-    noise: str | float | tuple[float, float],
-    uncertain: UncertainLike = None,
-    out: PathLike | None = None,
-    seed: int = 0,
-    workers: options.Workers = 1,
-) -> Isolability: ...
-@documented
-def diagnose(
-    subject: options.GivenSubject,
-    data: options.GivenData = None,
-    *,
-    protocol: Annotated[
-        TrialsLike | None,
-        trials_option(
-            "Instead of {DATA}: find out what planned trials could show, given {--noise}. The "
-            "trials: {}."
-        ),
-    ] = None,
-    noise: options.Noise = None,
-    uncertain: options.Uncertain = None,
-    start: options.ExtraStart = "subject",
-    effects: options.Candidates = None,
-    priors: options.Priors = None,
-    keep: options.Keep = None,
-    leave_out: options.LeaveOut = None,
-    plausible: options.Plausible = None,
-    out: options.Out = None,
-    seed: options.Seed = 0,
-    workers: options.Workers = 1,
-) -> Diagnosis | Isolability:
-    """What the model of a subject gets wrong in the data, and which physical cause it has.
-
-    The verdict is ADEQUATE, NAMED, AMBIGUOUS, UNEXPLAINED or NOT_TESTABLE. With it come the other
-    causes that would fit, and the trials that would tell them apart. The folder extended holds the
-    subject with the causes found, for use with every other command. With {--protocol} instead of
-    {DATA}, it says which causes such trials could show and tell apart.
-
-    Raises
-    ------
-    ValueError
-        If an argument or a file is wrong; the message says what to do.
-    NotComputable
-        If the subject has no prediction in any trial of the protocol.
-    """
-    if (data is None) == (protocol is None):
-        raise ValueError(
-            "diagnose needs either DATA.csv or --protocol; give one of the two, for example "
-            "identknee diagnose reference --protocol seed63 --noise 0.3mm,0.3deg"
-        )
-    if data is not None:
-        return diagnose_data(
-            subject,
-            data,
-            noise=noise,
-            uncertain=uncertain,
-            start=start,
-            effects=effects,
-            priors=priors,
-            keep=keep,
-            leave_out=leave_out,
-            plausible=plausible,
-            out=out,
-            seed=seed,
-            workers=workers,
-        )
-    if plausible is not None:
-        raise ValueError("--plausible compares causes by data; leave it out with --protocol")
-    if noise is None or protocol is None:
-        raise ValueError("--protocol needs --noise; add for example --noise 0.3mm,0.3deg")
-    return isolability(
-        subject, protocol, noise, uncertain=uncertain, out=out, seed=seed, workers=workers
     )

@@ -171,8 +171,6 @@ _VERBS = [
     ),
     Verb(
         name="diagnose",
-        module="identknee.verbs.isolability",
-        function="diagnose",
         answer="Diagnosis",
         summary="Find what the model of SUBJECT gets wrong, and why.",
         example="reference data.csv --noise 0.3mm,0.3deg",

@@ -17,8 +17,8 @@ from identknee.subject.examples import FOLDER
 from identknee.subject.knee import Knee
 from identknee.subject.ligament import LigamentGroup
 from identknee.subject.opensim import import_opensim
+from identknee.verbs.diagnose import diagnose
 from identknee.verbs.diagnosis import Diagnosis
-from identknee.verbs.isolability import diagnose
 
 GROUPS_S, MEASURED_S = 90.0, 45.0
 SEED, NOISE, SHIFT_MM = 3, 0.5, 6.0

@@ -244,7 +244,7 @@ def test_a_diagnosis_leaves_out_the_row_that_cannot_be_right_and_doubts_the_forc
     # The second diagnosis, with the row, takes as long again.
     once = iter([investigate])
     monkeypatch.setattr(
-        "identknee.verbs.diagnosis.investigate",
+        "identknee.verbs.diagnose.investigate",
         lambda *given, **named: next(once, lambda *_, **__: None)(*given, **named),
     )
     # Of the beginnings that a table without equilibria is searched from, one is enough here.

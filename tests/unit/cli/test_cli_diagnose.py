@@ -171,7 +171,7 @@ def test_wrong_words_about_data_are_refused(framed: tuple[Path, Path, str], tmp_
 def test_limits_that_cannot_count_are_refused_before_the_diagnosis(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr("identknee.verbs.diagnosis.investigate")
+    monkeypatch.delattr("identknee.verbs.diagnose.investigate")
     data = ik.write_laxity(short_data(ik.reference_knee(), FRAME), tmp_path / "data.csv")
     limits = tmp_path / "limits.toml"
     limits.write_text(

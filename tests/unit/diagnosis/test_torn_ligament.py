@@ -19,7 +19,7 @@ from identknee.model.laxity_model import LaxityModel
 from identknee.model.parameters import STIFFNESS, STRAIN
 from identknee.runs.record import Outcome
 from identknee.subject.reference import reference_knee
-from identknee.verbs.diagnosis import implausible_explanation
+from identknee.verbs.diagnose import implausible_explanation
 
 TORN, LEFT, SD = "MCL", 0.02, 0.3
 

@@ -8,7 +8,7 @@ from diagnoses import FRAME, diagnosed
 
 import identknee as ik
 from identknee.diagnosis.verdict import Verdict
-from identknee.verbs.diagnosis import advice_findings
+from identknee.verbs.diagnose import advice_findings
 
 
 def test_where_nothing_explains_the_misfit_repeats_are_asked_for() -> None:
