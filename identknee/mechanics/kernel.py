@@ -126,7 +126,7 @@ def descend(flexion, point, energy, radius, load, contact, field, ligaments, wor
     That is of the energy with the contact expanded there, if it was and as far as an expansion
     reaches; else of the quadratic model.
 
-    Returns (how much lower the energy should be, how far away it is, whether it is the minimum).
+    Returns (how much lower the energy should be, how far away it is, whether the search settled).
     """
     trial, candidate = work.solver.trial, work.solver.candidate
     L, right, step = work.solver.factor, work.solver.right, work.solver.step
@@ -178,10 +178,10 @@ def find_minimum(flexion, point, load, farthest, last_step, contact, field, liga
     for _ in range(MOST_ITERATIONS):
         if residual < SLACK_RESIDUAL and not factorise(point.hessian, -FLOOR_MARGIN, L):
             return UNCONSTRAINED, residual
-        promised, length, is_lowest = descend(
+        promised, length, is_settled = descend(
             flexion, point, energy, radius, load, contact, field, ligaments, work
         )
-        if residual < RESIDUAL_TOLERANCE or (is_lowest and length < last_step):
+        if residual < RESIDUAL_TOLERANCE or (is_settled and length < last_step):
             copy_point(trial, point)
             return CONVERGED, residual
         rounding = rounding_of(energy)

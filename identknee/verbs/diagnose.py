@@ -38,9 +38,7 @@ from identknee.diagnosis.investigation import (
     work_from_poses,
     work_of,
 )
-from identknee.diagnosis.verdict import (
-    Verdict,
-)
+from identknee.diagnosis.verdict import Verdict
 from identknee.laxity.protocol import zero_of_added_trials
 from identknee.laxity.table import Laxity, TrialsLike, write_laxity
 from identknee.model.effects.effect import OF, Effect

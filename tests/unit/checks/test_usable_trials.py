@@ -246,10 +246,12 @@ def test_a_stated_noise_weighs_as_columns_of_the_table_do() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_starts_elsewhere_are_as_many_as_asked_for(n: int) -> None:
+def test_starts_from_measured_poses_are_by_stretch_and_as_many_as_asked_for(n: int) -> None:
     laxity = as_read()
     model = LaxityModel(knee=small_knee(), protocol=laxity.protocol).with_tests(laxity)
     assert model.poses is not None
-    starts = starts_elsewhere(model, model.parameters.start, n)
+    start = model.parameters.start
+    starts = starts_elsewhere(model, start, n)
     assert starts.shape == (n, model.parameters.n)
+    np.testing.assert_array_equal(starts, starts_by_stretch(model, start, n))
     assert len({tuple(x) for x in starts.tolist()}) == n

@@ -238,7 +238,7 @@ def test_concatenate_keeps_shared_trials_once() -> None:
 @pytest.mark.parametrize(
     ("flexion", "load", "words"),
     [
-        (30, 10000, "trial .a., varus_moment_Nm: a moment of 10000 N·m .* Divide it by 1000 if"),
+        (30, 10000, "trial 'a', varus_moment_Nm: a moment of 10000 N·m .* Divide it by 1000 if"),
         (170, 5, "outside -10 to 160 deg"),
         (30, np.nan, "nan is not a finite number"),
     ],
